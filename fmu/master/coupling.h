@@ -137,6 +137,7 @@ static inline int arrive(Coupling *self) {
     copy(self, &self->past[0], &self->now);
     if (self->known < PAST) ++self->known;
     copy(self, &self->now, &self->next);
+    if (self->switched) self->known = 0;
     system->time = self->now.t;
     for (; is_before(system, system->rows, self->now.t); ++system->rows) { /* within the step */
         const int how = check_row(self, system->rows);
@@ -240,13 +241,13 @@ static inline int run_adaptive(Coupling *self) {
             h = length * fmin(fmax(factor, SHORTER), SAFE);
             continue;
         }
-        if (too_far && ++system->forced > MOST_FORCED && !system->quantum)
+        if (too_far && !self->switched && ++system->forced > MOST_FORCED && !system->quantum)
             return vanished(self, STEP_VANISHED);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         h = length * fmin(fmax(factor, SHORTER), LONGER);
         h = fmin(fmax(h, SHORTEST * span), longest);
-        if (self->known == 0) h = first; /* after an event */
+        if (self->known == 0) h = first; /* after an event, or a switch */
     }
     return DONE;
 }
@@ -381,6 +382,10 @@ static inline int run_from_start(Coupling *self) {
 
 /* Settles the inputs of parts in initialization mode, whose start values may follow from them. */
 static inline int settle_start(Coupling *self) {
+    const System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (part_read_arrays(&self->fmu, system->parts + p, self->part_u))
+            return give_up(self, p), CALL_FAILED;
     self->feedthrough = 1;
     return settle_values(self, self->system->u);
 }

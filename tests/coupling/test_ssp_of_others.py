@@ -81,7 +81,7 @@ def test_one_connector_drives_several(read):
         (connection("s.y", "g.y"), "both ends cannot be driven"),
         (connection("g.u", "g.k"), "both ends can only be driven"),
         (connection("s.y", "g.u") * 2, "g.u is connected twice, to s.y and to s.y"),
-        (connection("s.y", "g.k"), "g.k is no continuous input"),
+        (connection("s.y", "g.k"), "g.k is no input"),
         (connection("q.y", "q.u"), r"in a ring: q.y <- q.u <- q.y"),
         (connection("s.y", "g.u", suppressUnitConversion="maybe"), "neither true nor false"),
         (connection("s.y", "g.u", '<ssc:LinearTransformation factor="1_0"/>'), "is no number"),

@@ -16,7 +16,7 @@ from casadi_models.units import Unit, conversion, parse_unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part, split_key, split_name
+from cosim.coupling.part import Part, Variable, reject_types, split_key, split_name
 from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import (
     Interrupted,
@@ -27,6 +27,8 @@ from cosim.errors import (
 )
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.instance import REALS
+from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.ssp import write_ssp
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
@@ -375,8 +377,7 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
     """
     ends = split_name(parts, sink), split_name(parts, source)
     driven, driving = (parts[part].variable(name) for part, name in ends)
-    for name, variable in ((sink, driven), (source, driving)):
-        variable.reject_other_type(name)
+    reject_types(sink, driven, source, driving, changed=False)
     if not driven.is_input:
         inputs = [v.name for v in parts[ends[0][0]].variables.values() if v.is_input]
         raise UsageError(
@@ -462,11 +463,22 @@ def values_of(
             key = split_name(parts, name)
             variable, ends = parts[key[0]].variable(key[1]), (End(key, 1.0, 0.0),)
             unit, units = variable.unit, dict(variable.units)
-        if not all(parts[part].variable(own).is_start for (part, own), *_ in ends):
+        variables = [parts[part].variable(own) for (part, own), *_ in ends]
+        if not all(variable.is_start for variable in variables):
             raise UsageError(f"{name} cannot be given; it is calculated")
-        plain = _plain(key, value, unit, units)
-        found |= {end.variable: end.factor * plain + end.offset for end in ends}
+        other = next((v for v in variables if v.type not in REALS), None)
+        plain = _plain(key, value, unit, units) if other is None else _typed(key[0], other, value)
+        for end, variable in zip(ends, variables, strict=True):
+            same = (end.factor, end.offset) == (1.0, 0.0)
+            own = plain if same else end.factor * plain + end.offset
+            found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
+
+
+def _typed(owner: str, variable: Variable, value: object) -> Any:
+    """Return a value, or what a text says, as the type of a variable requires."""
+    whole = isinstance(value, str) and value.strip().removeprefix("-").isdecimal()
+    return typed_value(owner, variable, int(str(value)) if whole else value)
 
 
 def _plain(

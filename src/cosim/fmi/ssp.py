@@ -11,7 +11,8 @@ from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
-from cosim.fmi.run.instance import unit_of
+from cosim.fmi.run.instance import REALS, unit_of
+from cosim.fmi.run.typed_values import RANGES, start_number
 from cosim.model.values import number
 from cosim.trajectory import repr_17
 
@@ -21,24 +22,38 @@ SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 TYPE = "application/x-ssp-parameter-set"
 
 
-def parameter_set(
-    name: str, values: Mapping[str, float], units: Mapping[str, str | None]
-) -> ET.Element:
+def parameter_set(name: str, values: Mapping[str, float], known: Mapping[str, Any]) -> ET.Element:
     """Return a parameter set.
 
     Args:
         values: Values by variable, in the variables' units.
+        known: fmpy's variables by name.
     """
     root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=name)
     parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
-    used = {v: unit for v in values if (unit := units.get(v)) is not None}
+    used = {v: unit for v in values if (unit := unit_of(known[v])) is not None}
     for variable, value in values.items():
         entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=variable)
         measured = {"unit": used[variable]} if variable in used else {}
-        ET.SubElement(entry, f"{{{SSV}}}Real", {"value": repr_17(value)} | measured)
+        kind, text = _kind(known[variable]), repr_17(value)
+        if kind == "Boolean":
+            text = str(bool(value)).lower()
+        elif kind == "Enumeration":
+            items = known[variable].declaredType.items
+            text = next(item.name for item in items if int(item.value) == value)
+        elif kind == "Integer":
+            text = str(int(value))
+        ET.SubElement(entry, f"{{{SSV}}}{kind}", {"value": text} | measured)
     if used:
         root.append(unit_list(f"{{{SSV}}}Units", used.values()))
     return root
+
+
+def _kind(variable: Any) -> str:
+    """Return the type of a variable of fmpy's as SSP 1.0 calls it."""
+    if variable.type in RANGES:
+        return "Integer"
+    return "Real" if variable.type in REALS else str(variable.type)
 
 
 def unit_list(tag: str, names: Iterable[str]) -> ET.Element:
@@ -127,13 +142,13 @@ def write_ssp(
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
-    for component, (description, _) in described.items():
+    for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
         used |= {unit for unit in units.values() if unit}
         element = _component(component, description, units)
         if own:
-            chosen = parameter_set("initialValues", own, units)
+            chosen = parameter_set("initialValues", own, variables)
             bindings = ET.SubElement(element, f"{{{SSD}}}ParameterBindings")
             binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
             if parameter_files:
@@ -179,7 +194,7 @@ def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
 
 def _start(described: tuple[Any, dict[str, Any]], name: str) -> float:
     """Return the start value of a variable; 0 if it has none."""
-    return float(described[1][name].start or 0.0)
+    return start_number(described[1][name])
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
@@ -190,8 +205,9 @@ def _component(name: str, description: Any, units: Mapping[str, str | None]) -> 
         if variable.causality in ("input", "output", "parameter"):
             facts = {"name": variable.name, "kind": variable.causality}
             connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", facts)
-            unit, kind = units[variable.name], "Boolean" if variable.type == "Boolean" else "Real"
-            ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
+            unit, kind = units[variable.name], _kind(variable)
+            if kind != "Enumeration":  # whose type the FMU describes
+                ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
     return component
 
 

@@ -2,7 +2,8 @@
 
 import posixpath
 import re
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
@@ -139,6 +140,14 @@ class Document:
     def fault(self, text: str, kind: type[CosimError] = UsageError) -> CosimError:
         """Return an error that names the file and the entry."""
         return kind(f"{self.package.name}: {self.entry}: {text}")
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Name the file and the entry in messages."""
+        try:
+            yield
+        except CosimError as error:
+            raise self.fault(str(error), type(error)) from error
 
     def find(self, source: str) -> tuple[str, str]:
         """Return the entry that a URI means, and its fragment.

@@ -7,6 +7,7 @@ from math import isfinite
 from xml.etree import ElementTree as ET
 
 from cosim.coupling.ssp.package import Document
+from cosim.errors import ParameterError
 from cosim.model.quantities import quantity
 
 _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
@@ -20,28 +21,32 @@ _TABLES = ("BooleanMappingTransformation", "IntegerMappingTransformation")
 
 @dataclass(frozen=True)
 class Value:
-    """A number for a variable: `factor` times the number in the variable's unit, plus `offset`.
+    """A value of a variable: `factor` times the number in the variable's unit, plus `offset`.
 
     Attributes:
-        number: As the parameter set has it.
+        number: As the parameter set has it; the name of an item, of an enumeration.
         unit: Its unit; None for that of the variable.
         factor, offset: Of a mapping's linear transformation.
         keeps_unit: Whether the unit is not converted.
     """
 
-    number: float
+    number: float | str
     unit: str | None = None
     factor: float = 1.0
     offset: float = 0.0
     keeps_unit: bool = False
 
-    def in_unit(self, name: str, unit: str | None) -> float:
-        """Return the number in a unit.
+    def in_unit(self, name: str, unit: str | None) -> float | str:
+        """Return the number in a unit; of an enumeration, the name of its item.
 
         Raises:
-            ParameterError: The units do not fit.
+            ParameterError: The units do not fit, or an item would be transformed.
         """
         number = self.number
+        if isinstance(number, str):
+            if (self.factor, self.offset) != (1.0, 0.0):
+                raise ParameterError(f"{name} = {number!r} is no number and cannot be transformed")
+            return number
         if self.unit is not None and unit is not None and not self.keeps_unit:
             number = quantity(name, f"{number!r} {self.unit}", unit)
         return self.factor * number + self.offset
@@ -137,12 +142,14 @@ def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, V
             yield name, Value(number, element.get("unit"))
 
 
-def _number(document: Document, name: str, element: ET.Element) -> float:
+def _number(document: Document, name: str, element: ET.Element) -> float | str:
     text = element.get("value", "")
     if element.tag in _REALS:
         return real(document, name, text)
     if element.tag in _INTEGERS and _INTEGER.fullmatch(text.strip()):
         return float(int(text)) if len(text) < 100 else real(document, name, "")
+    if element.tag == "Enumeration":
+        return text
     if element.tag == "Boolean" and text.strip() in _TRUTH:
         return _TRUTH[text.strip()]
     raise document.fault(
@@ -172,7 +179,9 @@ def _mapped(
         yield target, replace(value, number=number, factor=factor, offset=offset)
 
 
-def _looked_up(document: Document, where: str, entry: ET.Element, number: float) -> float:
+def _looked_up(
+    document: Document, where: str, entry: ET.Element, number: float | str
+) -> float | str:
     """Return what a table of a mapping gives for a number; the number where it has no row."""
     for kind in _TABLES:
         for row in entry.iterfind(f"{kind}/MapEntry"):

@@ -32,7 +32,9 @@ class Element:
         self.place, self.size, self.start = place, size, start
 
     def __getattr__(self, attribute: str) -> Any:
-        return getattr(vars(self)["array"], attribute)
+        if attribute.startswith("__"):  # as of `copy` and `pickle`
+            raise AttributeError(attribute)
+        return getattr(self.array, attribute)
 
 
 def with_elements(description: Any, structural: Mapping[str, float] | None = None) -> Any:

@@ -39,10 +39,6 @@ _FUNCTIONS = {
     "do_step_3": (None, "DoStep"),
     "get_boolean_status": ("GetBooleanStatus", None),
     "get_real_status": ("GetRealStatus", None),
-    "get_real": ("GetReal", None),
-    "set_real": ("SetReal", None),
-    "get_float64": (None, "GetFloat64"),
-    "set_float64": (None, "SetFloat64"),
     "set_input_derivatives": ("SetRealInputDerivatives", None),
     "output_derivatives_2": ("GetRealOutputDerivatives", None),
     "output_derivatives_3": (None, "GetOutputDerivatives"),
@@ -77,8 +73,8 @@ class _Group(ctypes.Structure):
 
     _fields_ = (
         *((name, _LONG) for name in ("kind", "count", "values")),
-        *((name, _POINTER) for name in ("references", "get_2", "get_3")),
-        ("function", ctypes.c_char_p),
+        *((name, _POINTER) for name in ("references", "get_2", "get_3", "set_2", "set_3")),
+        *((name, ctypes.c_char_p) for name in ("function", "setter")),
         ("buffer", _POINTER),
     )
 
@@ -145,19 +141,18 @@ class Recorded:
 
     def _group(self, instance: Any, getter: str, layout: Layout, second: bool) -> _Group:
         kind = _kind(getter, second)
-        name = f"fmi{2 if second else 3}Get{getter}"
+        names = [f"fmi{2 if second else 3}{verb}{getter}" for verb in ("Get", "Set")]
         addresses = (ctypes.c_uint32 * len(layout.references))(*layout.references)
         buffer = (KINDS[kind] * layout.values)()
         self._held += [addresses, buffer]
-        address = _address(instance, name)
+        functions = [address for n in names for address in _of_version(instance, n, second)]
         return _Group(
             list(KINDS).index(kind),
             len(layout.references),
             layout.values,
             ctypes.addressof(addresses),
-            address if second else None,
-            None if second else address,
-            name.encode(),
+            *functions,
+            *(name.encode() for name in names),
             ctypes.addressof(buffer),
         )
 
@@ -184,6 +179,11 @@ class Calls:
         structure = self._recorded[key].structure
         structure.rows = rows.ctypes.data
         return structure
+
+
+def _of_version(instance: Any, name: str, second: bool) -> tuple[int | None, int | None]:
+    address = _address(instance, name)
+    return (address, None) if second else (None, address)
 
 
 def _address(instance: Any, name: str) -> int | None:

@@ -29,6 +29,7 @@ class Interface(StrEnum):
 
 INTERFACES = tuple(Interface)
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
+REALS = ("Real", "Float64", "Float32")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words

@@ -1,7 +1,6 @@
 """`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ from cosim.fmi.run.instance import (
     may_be_set,
     unit_of,
 )
-from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.run.typed_values import start_number, typed_value
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
@@ -338,7 +337,7 @@ def _own_numbers(description: Any) -> Mapping[str, float]:
     """Return the start values of the parameters and inputs by name."""
     found: dict[str, float] = {}
     for variable in description.modelVariables:
-        if variable.causality in ("parameter", "input") and is_number(variable):
-            with suppress(TypeError, ValueError):  # no start value, an array, or "true"
-                found[variable.name] = float(variable.start)
+        own = variable.causality in ("parameter", "input") and is_number(variable)
+        if own and variable.start:  # one that the file tells
+            found[variable.name] = start_number(variable)
     return found
