@@ -60,6 +60,8 @@ typedef struct {
     int feedthrough, all_roll_back;
     int ends_at_events; /* whether macro steps end at events of parts */
     double event;       /* the time of one that ends the next macro step */
+    double missed;      /* the time of one to which a macro step was rejected */
+    int inevitable;     /* whether a shorter one reached it as well */
     int standstills;    /* events without a step between */
     int unreached;      /* macro steps in succession that an event cut short */
     int ends;           /* whether a part ends the run within the macro step */
