@@ -9,7 +9,7 @@ from typing import Any
 
 from casadi_models.dae import Dae
 from casadi_models.dae.variables import is_name
-from casadi_models.units import Unit, parse_unit
+from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
@@ -23,7 +23,7 @@ from cosim.fmi.run.instance import (
     unit_of,
 )
 from cosim.fmi.run.typed_values import RANGES
-from cosim.fmi.units import units_for
+from cosim.fmi.units import Measured, units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -52,7 +52,12 @@ class Variable:
     @property
     def definition(self) -> Unit | None:
         """What the unit means; None if there is no unit, or nothing defines it."""
-        return None if self.unit is None else self.units.get(self.unit) or parse_unit(self.unit)
+        return self.measured.definition
+
+    @property
+    def measured(self) -> Measured:
+        """The unit with its meaning."""
+        return Measured.of(self.unit, self.units)
 
     @property
     def items(self) -> dict[str, str]:

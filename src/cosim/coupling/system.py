@@ -12,7 +12,7 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
-from casadi_models.units import Unit, conversion, parse_unit
+from casadi_models.units import Unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.coupling.opened_part import Ability
@@ -30,6 +30,7 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.instance import REALS
 from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.ssp import write_ssp
+from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
 from cosim.integrate.modes import hybrid
@@ -289,8 +290,7 @@ class System:
 
     def _change_of_units(self, wire: Connection) -> tuple[float, float]:
         sink, source = (self.parts[part].variable(name) for part, name in (wire.input, wire.output))
-        ends = (sink.unit, sink.definition), (source.unit, source.definition)
-        return change_of_units(sink.name, ends[0], source.name, ends[1])
+        return change_of_units(sink.name, sink.measured, source.name, source.measured)
 
     def holds(self, resource: AbstractContextManager[Any], *folders: Path) -> None:
         """Keep what the parts need, such as unpacked files, as long as the system lives.
@@ -385,40 +385,7 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
         )
     if not driving.is_source:
         raise UsageError(f"{source} is no output and no state; connect one that is")
-    measured = (driven.unit, driven.definition), (driving.unit, driving.definition)
-    return Connection(*ends, *change_of_units(sink, measured[0], source, measured[1]))
-
-
-Measured = tuple[str | None, Unit | None]  # name of a unit, and what it means
-
-
-def named_unit(name: str | None) -> Measured:
-    """Return a unit with its usual meaning."""
-    return name, None if name is None else parse_unit(name)
-
-
-def change_of_named_units(
-    sink: str, to: str | None, source: str, of: str | None
-) -> tuple[float, float]:
-    """Return the same as `change_of_units` for units with their usual meaning."""
-    return change_of_units(sink, named_unit(to), source, named_unit(of))
-
-
-def change_of_units(
-    sink: str, driven: Measured, source: str, driving: Measured
-) -> tuple[float, float]:
-    """Return factor and offset from one unit to another; units without definition are equal.
-
-    Raises:
-        UsageError: They measure different quantities.
-    """
-    (to, into), (of, given) = driven, driving
-    if given is None or into is None:
-        return 1.0, 0.0
-    try:
-        return conversion(given, into)
-    except ValueError as error:
-        raise UsageError(f"{source} [{of}] cannot drive {sink} [{to}]: {error}") from error
+    return Connection(*ends, *change_of_units(sink, driven.measured, source, driving.measured))
 
 
 def _undefined_units(
@@ -458,7 +425,7 @@ def values_of(
         connector = connectors.get(name)
         if connector is not None and connector.is_input:
             key, ends = ("the system", name), connector.ends
-            unit, units = connector.unit, dict[str, Unit]()
+            unit, units = connector.unit, dict(connector.units)
         else:
             key = split_name(parts, name)
             variable, ends = parts[key[0]].variable(key[1]), (End(key, 1.0, 0.0),)

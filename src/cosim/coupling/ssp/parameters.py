@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from xml.etree import ElementTree as ET
 
+from casadi_models.units import conversion
 from cosim.coupling.ssp.package import Document
 from cosim.errors import ParameterError
+from cosim.fmi.units import Measured
 from cosim.model.quantities import quantity
 
 _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
@@ -25,18 +27,18 @@ class Value:
 
     Attributes:
         number: As the parameter set has it; the name of an item, of an enumeration.
-        unit: Its unit; None for that of the variable.
+        unit: Its unit; without a name, that of the variable.
         factor, offset: Of a mapping's linear transformation.
         keeps_unit: Whether the unit is not converted.
     """
 
     number: float | str
-    unit: str | None = None
+    unit: Measured
     factor: float = 1.0
     offset: float = 0.0
     keeps_unit: bool = False
 
-    def in_unit(self, name: str, unit: str | None) -> float | str:
+    def in_unit(self, name: str, unit: Measured) -> float | str:
         """Return the number in a unit; of an enumeration, the name of its item.
 
         Raises:
@@ -47,8 +49,17 @@ class Value:
             if (self.factor, self.offset) != (1.0, 0.0):
                 raise ParameterError(f"{name} = {number!r} is no number and cannot be transformed")
             return number
-        if self.unit is not None and unit is not None and not self.keeps_unit:
-            number = quantity(name, f"{number!r} {self.unit}", unit)
+        if None in (self.unit.name, unit.name) or self.keeps_unit:
+            return self.factor * number + self.offset
+        if self.unit.definition is None or unit.definition is None:
+            number = quantity(name, f"{number!r} {self.unit.name}", str(unit.name))
+        else:
+            try:
+                scale, shift = conversion(self.unit.definition, unit.definition)
+            except ValueError as error:
+                reason = f"'{self.unit.name}' cannot be converted to '{unit.name}': {error}"
+                raise ParameterError(f"{name} = {number!r}: {reason}") from error
+            number = scale * number + shift
         return self.factor * number + self.offset
 
 
@@ -131,6 +142,7 @@ def _content(
 
 
 def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, Value]]:
+    units = document.units_in(chosen)
     for parameter in chosen.iterfind("Parameters/Parameter"):
         name = parameter.get("name", "")
         for element in parameter:
@@ -139,7 +151,7 @@ def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, V
             if element.tag == "Dimension":
                 raise document.fault(f"{name} is an array; only numbers can be set here")
             number = _number(document, name, element)
-            yield name, Value(number, element.get("unit"))
+            yield name, Value(number, Measured.of(element.get("unit"), units))
 
 
 def _number(document: Document, name: str, element: ET.Element) -> float | str:
@@ -170,7 +182,7 @@ def _mapped(
         if entry.find("EnumerationMappingTransformation") is not None:
             raise document.fault(f"{where} maps enumerations, which cannot be read here")
         value = values[source]
-        if value.unit is not None and truth(
+        if value.unit.name is not None and truth(
             document, f"suppressUnitConversion of {where}", entry.get("suppressUnitConversion")
         ):
             value = replace(value, keeps_unit=True)

@@ -16,10 +16,11 @@ from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
 from cosim.coupling.ssp.parameters import Value, bound_values, real
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
-from cosim.coupling.system import System, change_of_named_units
+from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName
 from cosim.fmi.archive import naming_places
 from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.units import Measured
 
 
 def read_ssp(path: str | os.PathLike[str], *, variant: str | None = None) -> System:
@@ -138,7 +139,7 @@ class _System:
         if not self._variable(source).is_source:
             raise document.fault(f"{source} is no output, so it cannot drive {sink}")
         unit = self._connections.unit(source)
-        change = self._connections.change(way.steps, unit, change_of_named_units)
+        change = self._connections.change(way.steps, unit)
         ends = str(sink), self._variable(sink), str(source), self._variable(source)
         with document.naming():
             reject_types(*ends, changed=change != (1.0, 0.0))
@@ -161,10 +162,11 @@ class _System:
         document, value = self._values[node]
         unit = self._connections.unit(node)
         if node.place in self._parts:
-            unit = self._variable(node).unit or unit
+            own = self._variable(node).measured
+            unit = unit if own.name is None else own
         with document.naming():
             number = value.in_unit(str(node), unit)
-        factor, offset = self._connections.change(steps, unit or value.unit, change_of_named_units)
+        factor, offset = self._connections.change(steps, value.unit if unit.name is None else unit)
         return number if isinstance(number, str) else factor * number + offset
 
     def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:
@@ -174,16 +176,16 @@ class _System:
         ends = tuple(
             End(
                 self._key(one.source if shown else one.sink),
-                *self._connections.change(
-                    one.steps, self._connections.unit(one.source), change_of_named_units
-                ),
+                *self._connections.change(one.steps, self._connections.unit(one.source)),
             )
             for one in shown or exposed
         )
         nodes = [node for one in (way, *exposed[:1]) for node in one.nodes]
         units = map(self._connections.unit, reversed(nodes) if shown else nodes)
-        unit = declared.unit or next(filter(None, units), None)
-        return Connector(name, unit, declared.role is not Role.OUT and not way.steps, ends)
+        unit = next((one for one in (declared.unit, *units) if one.name), declared.unit)
+        defined = {unit.name: unit.definition} if unit.name and unit.definition else {}
+        is_input = declared.role is not Role.OUT and not way.steps
+        return Connector(name, unit.name, is_input, ends, defined)
 
     def _assigned(self) -> dict[Node, tuple[Document, Value]]:
         """Return values by connector; those of a system replace those of its elements."""
@@ -220,9 +222,10 @@ def _declared(element: Element, part: Part) -> dict[str, Declared]:
     """Return the variables of an FMU as connectors."""
     found = dict[str, Declared]()
     for name, variable in part.variables.items():
-        written = element.connectors.get(name, Declared(Role.IN, None, name))
+        written = element.connectors.get(name, Declared(Role.IN, Measured(), name))
         role = Role.IN if variable.is_input else Role.OUT if variable.is_source else written.role
-        found[name] = Declared(role, variable.unit or written.unit, variable.name)
+        unit = written.unit if variable.unit is None else variable.measured
+        found[name] = Declared(role, unit, variable.name)
     return found
 
 
