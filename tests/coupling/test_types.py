@@ -50,6 +50,14 @@ def test_switch_of_a_boolean_is_located(method, part):
     assert 10 < run.stats["rejected_steps"] < 30  # to 1e-9 of the span; measured 13
 
 
+def test_integers_and_enumerations_drive_each_other(part):
+    wires = {"b.mode_in": "a.count", "b.count_in": "a.mode"}
+    values = {"a.count_in": 3, "a.mode_in": "slow"}
+    system = cosim.couple({"a": part, "b": part}, wires, start_values=values)
+    final = system.simulate(macro_step=0.5, stop_time=1.0).final
+    assert (final["b.mode"], final["b.count"]) == (3, 1)
+
+
 def test_integer_drives_a_real_input_as_it_is(part):
     model = cosim.Model("integral")
     rate = model.input("rate", "1", 0.0, "rate")
@@ -84,10 +92,11 @@ def test_float32_drives_float32_and_float64(part_3):
     ("sink", "source", "reason"),
     [
         ("b.count_in", "a.y[1]", r"a.y\[1\] \(Float64\) cannot drive b.count_in \(Int32\)"),
-        ("b.count_in", "a.mode", r"a.mode \(Enumeration\) cannot drive b.count_in \(Int32\)"),
+        ("b.count_in", "a.level", r"a.level \(Float32\) cannot drive b.count_in \(Int32\)"),
+        ("b.count_in", "a.on", r"a.on \(Boolean\) cannot drive b.count_in \(Int32\)"),
         ("b.on_in", "a.count", r"a.count \(Int32\) cannot drive b.on_in \(Boolean\)"),
         ("b.u[1]", "a.on", r"a.on \(Boolean\) cannot drive b.u\[1\] \(Float64\)"),
-        ("b.mode_in", "a.count", r"cannot drive b.mode_in \(Enumeration\)"),
+        ("b.mode_in", "a.on", r"cannot drive b.mode_in \(Enumeration\)"),
         ("b.u", "a.y", r"b.u is an array; connect its elements, such as b.u\[1\]"),
         ("b.u[1]", "a.y", r"a.y is an array"),
     ],

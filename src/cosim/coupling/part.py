@@ -60,20 +60,27 @@ class Variable:
         return Measured.of(self.unit, self.units)
 
     @property
-    def items(self) -> dict[str, str]:
+    def items(self) -> dict[str, int]:
         """The values of an enumeration by name; of another type none."""
         listed = self.declaredType.items if self.type == "Enumeration" and self.declaredType else ()
-        return {item.name: str(item.value) for item in listed}
+        return {item.name: int(item.value) for item in listed}
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The smallest and the largest integer that it may be; infinity for other types."""
+        values = [*self.items.values()] or [*RANGES.get(self.type, ())]
+        return min(values, default=-inf), max(values, default=inf)
 
     def takes(self, driving: "Variable") -> bool:
         """Tell whether it has every value of another one, so that nothing is rounded or wrapped."""
         if self.type in REALS:
             return driving.type in REALS or driving.type in RANGES
         if self.type in RANGES:
-            low, high = RANGES.get(driving.type, (-inf, inf))
-            return RANGES[self.type][0] <= low and high <= RANGES[self.type][1]
-        same = self.type == driving.type
-        return same and self.items == driving.items and self.type in ("Boolean", "Enumeration")
+            (low, high), (least, most) = driving.range, self.range
+            return driving.type != "Boolean" and least <= low and high <= most
+        if self.type == "Enumeration" and driving.type in RANGES:  # which of its items, as in FMI
+            return True
+        return self.type == driving.type and self.items == driving.items
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,8 @@ class Measured(NamedTuple):
     @classmethod
     def of(cls, name: str | None, defined: Mapping[str, Unit]) -> "Measured":
         """Return a unit by its definition in a file, or else with its usual meaning."""
-        return cls() if name is None else cls(name, defined.get(name) or parse_unit(name))
+        usual = parse_unit(name.strip("[]")) if name else None  # tables have units in brackets
+        return cls() if name is None else cls(name, defined.get(name) or usual)
 
 
 def change_of_units(

@@ -57,8 +57,8 @@ class Value:
             try:
                 scale, shift = conversion(self.unit.definition, unit.definition)
             except ValueError as error:
-                reason = f"'{self.unit.name}' cannot be converted to '{unit.name}': {error}"
-                raise ParameterError(f"{name} = {number!r}: {reason}") from error
+                reason = f"'{self.unit.name}' cannot be converted to '{unit.name}'"
+                raise ParameterError(f"{name} = {number!r}: {reason}, by definition") from error
             number = scale * number + shift
         return self.factor * number + self.offset
 
