@@ -130,6 +130,13 @@ def test_value_that_a_type_does_not_have_is_rejected(name, value, reason, part):
         cosim.couple({"a": part}, {}, start_values={name: value})
 
 
+def test_name_of_an_array_records_its_elements(part_3):
+    run = cosim.couple({"a": part_3}, {}, start_values={"a.u[2]": 1.0}).simulate(
+        macro_step=0.5, stop_time=1.0, outputs=["a.y", "a.on"]
+    )
+    assert run.final == pytest.approx({"a.y[1]": 0.0, "a.y[2]": 1.0, "a.on": 0.0})
+
+
 def test_structural_parameter_of_a_part_stays(part_3):
     with pytest.raises(UsageError, match=r"a\.n cannot be given"):
         cosim.couple({"a": part_3}, {}, start_values={"a.n": 3})

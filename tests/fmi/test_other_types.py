@@ -95,6 +95,11 @@ def test_connection_of_another_type_is_rejected_with_the_type(connection, reason
         cosim.couple({"a": written(), "b": written(name="other")}, connection)
 
 
+def test_text_cannot_be_recorded_in_a_system(written):
+    with pytest.raises(UsageError, match=r"a\.label is not a single number"):
+        cosim.couple({"a": written()}, {}).simulate(outputs=["a.label"])
+
+
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [

@@ -109,6 +109,13 @@ class Part:
             raise UnknownName.among(f"part '{self.name}'", "variable", name, self.variables)
         return self.variables[name]
 
+    def numbers(self, name: str) -> list[str]:
+        """Return the variables that can be recorded by a name: itself, or elements of an array."""
+        array = self.variables[name].type == "array"
+        own = [v.name for v in self.variables.values() if v.name.startswith(f"{name}[")]
+        numbers = own if array else [name]
+        return [one for one in numbers if NUMERIC.fullmatch(self.variables[one].type)]
+
 
 def part_of(name: str, subject: object, folder: Path) -> Part:
     """Return a part.

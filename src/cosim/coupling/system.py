@@ -242,9 +242,22 @@ class System:
             raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
 
     def _resolved(self, outputs: Sequence[str]) -> list[str]:
-        """Return names of outputs as a run has them; a variable of a part may have several."""
+        """Return names of outputs as a run has them; a variable of a part may have several.
+
+        The name of an array stands for its elements.
+        """
         own = {connector.name for connector in self.connectors.values() if connector.shows}
-        return [name if name in own else ".".join(split_name(self.parts, name)) for name in outputs]
+        found = list[str]()
+        for name in outputs:
+            if name in own:
+                found.append(name)
+                continue
+            part, variable = split_name(self.parts, name)
+            numbers = self.parts[part].numbers(variable)
+            if not numbers:
+                raise UsageError(f"{name} is not a single number and cannot be recorded")
+            found += [f"{part}.{number}" for number in numbers]
+        return found
 
     def _recorded(
         self, simulation: CoSimulation, names: Sequence[str] | None
