@@ -23,7 +23,7 @@ from cosim.coupling.own_steps import own_steps
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, why_it_ended
-from cosim.fmi.run.request import column_of, output_names
+from cosim.fmi.run.request import column_of, output_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.signals import interruptible
@@ -346,8 +346,6 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
-        if notes := self._notes(system, settings):
-            stats["note"] = "; ".join(notes)
         run = Trajectory(
             self.name,
             times,
@@ -357,6 +355,9 @@ class CoSimulation:
             status="complete",
             events=self._events(),
         )
+        recorded = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
+        if notes := [*self._notes(system, settings), *filter(None, [rounding(recorded, run)])]:
+            stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
             run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)

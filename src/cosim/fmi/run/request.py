@@ -23,7 +23,7 @@ from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.times import one_time, reject_backward, time_grid
 from cosim.model.values import listed, number
-from cosim.trajectory import Column
+from cosim.trajectory import Column, Trajectory
 
 DEFAULT_TOLERANCE = 1e-5  # of model exchange if neither user nor FMU gives one, as in fmpy
 MOST_POINTS = 10_000_000  # output times of a run
@@ -307,6 +307,19 @@ def _check_series(
             )
         if variable in values:
             raise UsageError(f"{name}: {variable} is given a value and a series; give one of them")
+
+
+def rounding(variables: Sequence[Any], run: Trajectory) -> str:
+    """Return which integers of a run are too large for its numbers; the empty text if none are.
+
+    Args:
+        variables: fmpy's, of the columns.
+        run: The run.
+    """
+    large = np.abs(run.values).max(axis=0, initial=0.0) >= 2.0**53
+    names = [n for n, v, is_large in zip(run.names, variables, large, strict=True)
+             if is_large and v.type in ("Int64", "UInt64")]  # fmt: skip
+    return f"{', '.join(names)}: integers from 2^53 on may be rounded in results" if names else ""
 
 
 @lru_cache(1024)

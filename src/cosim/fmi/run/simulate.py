@@ -10,7 +10,7 @@ from typing import Any
 from cosim.errors import UsageError
 from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
-from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest
+from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, rounding
 from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
@@ -91,7 +91,13 @@ def simulate_fmu(
         )
         run = fmu.run(request, master)
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
-    note = "; ".join(filter(None, (run.stats.get("note"), gaps, _small_states(request, run))))
+    notes = (
+        run.stats.get("note"),
+        gaps,
+        _small_states(request, run),
+        rounding(request.recorded, run),
+    )
+    note = "; ".join(filter(None, notes))
     stats = {**run.stats, "wall_time": perf_counter() - began}
     return replace(run, stats=stats | {"note": note} if note else stats)
 
