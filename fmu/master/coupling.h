@@ -114,6 +114,7 @@ static inline int pass_events(Coupling *self) {
  * already. */
 static inline int back_to_event(Coupling *self) {
     const int here = same_time(self->system, self->event, self->now.t);
+    self->inevitable |= self->event > self->next.t && self->event == self->missed;
     if (++self->unreached > MOST_UPDATES) return STUCK;
     if (restore_all_but(self, here ? self->system->parts + self->system->part : NULL))
         return CALL_FAILED;
@@ -137,6 +138,7 @@ static inline int arrive(Coupling *self) {
     copy(self, &self->past[0], &self->now);
     if (self->known < PAST) ++self->known;
     copy(self, &self->now, &self->next);
+    if (self->switched) self->known = 0;
     system->time = self->now.t;
     for (; is_before(system, system->rows, self->now.t); ++system->rows) { /* within the step */
         const int how = check_row(self, system->rows);
@@ -150,8 +152,8 @@ static inline int arrive(Coupling *self) {
     for (long long k = 0; k < system->inputs; ++k)
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
     ++system->macro_steps;
-    self->event = INFINITY;
-    self->standstills = self->unreached = 0;
+    self->event = self->missed = INFINITY;
+    self->standstills = self->unreached = self->inevitable = 0;
     return DONE;
 }
 
@@ -224,7 +226,7 @@ static inline int run_adaptive(Coupling *self) {
             if (isfinite(self->event)) h = self->event - system->time;
             continue;
         }
-        const int shortest = length <= least;
+        const int shortest = length <= least || (self->inevitable && self->next.t == self->event);
         const int too_far = error > system->tolerance && self->all_roll_back;
         const double factor =
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
@@ -233,6 +235,7 @@ static inline int run_adaptive(Coupling *self) {
         if (is_held_up(self, &window, rejected)) return vanished(self, STEP_VANISHED);
         if (rejected) {
             ++system->rejected;
+            if (self->next.t == self->event) self->missed = self->event;
             const long long part = system->part;
             if (restore_all_but(self, NULL)) return CALL_FAILED;
             system->part = part;
@@ -240,13 +243,13 @@ static inline int run_adaptive(Coupling *self) {
             h = length * fmin(fmax(factor, SHORTER), SAFE);
             continue;
         }
-        if (too_far && ++system->forced > MOST_FORCED && !system->quantum)
+        if (too_far && !self->switched && ++system->forced > MOST_FORCED && !system->quantum)
             return vanished(self, STEP_VANISHED);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         h = length * fmin(fmax(factor, SHORTER), LONGER);
         h = fmin(fmax(h, SHORTEST * span), longest);
-        if (self->known == 0) h = first; /* after an event */
+        if (self->known == 0) h = first; /* after an event, or a switch */
     }
     return DONE;
 }
@@ -358,7 +361,7 @@ static inline int run_from_start(Coupling *self) {
     System *system = self->system;
     const long long m = system->inputs;
     self->now.t = system->time = system->start;
-    self->event = INFINITY;
+    self->event = self->missed = INFINITY;
     memcpy(self->now.u, system->u, (size_t)m * sizeof *self->now.u);
     self->ends_at_events = system->method >= EXTRAPOLATED;
     self->all_roll_back = 1;
@@ -381,6 +384,10 @@ static inline int run_from_start(Coupling *self) {
 
 /* Settles the inputs of parts in initialization mode, whose start values may follow from them. */
 static inline int settle_start(Coupling *self) {
+    const System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (part_read_arrays(&self->fmu, system->parts + p, self->part_u))
+            return give_up(self, p), CALL_FAILED;
     self->feedthrough = 1;
     return settle_values(self, self->system->u);
 }

@@ -37,10 +37,6 @@ typedef struct {
     int (*do_step_3)(void *, double, double, bool, bool *, bool *, bool *, double *);
     int (*get_boolean_status)(void *, int, int *);
     int (*get_real_status)(void *, int, double *);
-    int (*get_real)(void *, const uint32_t *, size_t, double *);
-    int (*set_real)(void *, const uint32_t *, size_t, const double *);
-    int (*get_float64)(void *, const uint32_t *, size_t, double *, size_t);
-    int (*set_float64)(void *, const uint32_t *, size_t, const double *, size_t);
     int (*set_input_derivatives)(void *, const uint32_t *, size_t, const int32_t *, const double *);
     int (*output_derivatives_2)(void *, const uint32_t *, size_t, const int32_t *, double *);
     int (*output_derivatives_3)(void *, const uint32_t *, size_t, const int32_t *, double *,

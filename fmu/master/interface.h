@@ -22,11 +22,12 @@ typedef struct {
     long long n_parts, inputs, outputs; /* connected ones of all parts, part after part */
     const long long *source;            /* of each input: the output that drives it */
     const double *factor, *offset;      /* input = factor output + offset */
-    const long long *feeds;             /* (outputs, inputs): whether there is feedthrough */
-    double *u;                          /* inputs at the start: a guess, then their values */
-    double *scale;                      /* sizes of the inputs */
-    const long long *grows;             /* whether a scale is the largest value so far */
-    const double *times;                /* of outputs */
+    const long long *held;  /* of each input: whether it is constant between communication points */
+    const long long *feeds; /* (outputs, inputs): whether there is feedthrough */
+    double *u;              /* inputs at the start: a guess, then their values */
+    double *scale;          /* sizes of the inputs */
+    const long long *grows; /* whether a scale is the largest value so far */
+    const double *times;    /* of outputs */
     long long points;
     double start, stop;
     double macro_step; /* 0: chosen by the error */
@@ -59,10 +60,13 @@ typedef struct {
     int feedthrough, all_roll_back;
     int ends_at_events; /* whether macro steps end at events of parts */
     double event;       /* the time of one that ends the next macro step */
+    double missed;      /* the time of one to which a macro step was rejected */
+    int inevitable;     /* whether a shorter one reached it as well */
     int standstills;    /* events without a step between */
     int unreached;      /* macro steps in succession that an event cut short */
     int ends;           /* whether a part ends the run within the macro step */
     int reason;         /* why a macro step was rejected, as the end of a run */
+    int switched;       /* whether a held input has changed within the macro step */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
@@ -127,6 +131,7 @@ static inline int find_gain(Coupling *self, const double *u) {
         for (long long i = 0; i < part->inputs; ++i) {
             const long long input = part->first_input + i;
             int direct = 0;
+            if (system->held[input]) continue; /* it has no derivatives, nor what drives it */
             for (long long k = 0; k < part->outputs; ++k)
                 direct |= system->feeds[(output + k) * m + input] != 0;
             if (!direct) continue;
@@ -144,7 +149,8 @@ static inline int find_gain(Coupling *self, const double *u) {
                     self->column[k] = (self->column[k] - self->y[output + k]) / step;
             }
             for (long long k = 0; k < m; ++k)
-                if (system->source[k] >= output && system->source[k] < output + part->outputs)
+                if (!system->held[k] && system->source[k] >= output &&
+                    system->source[k] < output + part->outputs)
                     self->gain[k * m + input] =
                         system->factor[k] * self->column[system->source[k] - output];
         }
@@ -227,7 +233,7 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     }
     const long long m = system->inputs;
     for (long long k = 0; k < m; ++k) {
-        at->r[k] = system->factor[k] * self->y[system->source[k]];
+        at->r[k] = system->held[k] ? 0 : system->factor[k] * self->y[system->source[k]];
         if (isfinite(at->r[k])) continue;
         at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
         memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);

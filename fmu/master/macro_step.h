@@ -94,7 +94,8 @@ static inline int compare_with_cubics(Coupling *self, const Part *part, double s
         if (output < 0 || output >= part->outputs) continue;
         double d[4];
         cubic_at(&self->now, &self->next, k, since, d);
-        const double off = fabs(driven(self, k) - d[0]) / size_of(system, k, d[0]);
+        double off = fabs(driven(self, k) - d[0]) / size_of(system, k, d[0]);
+        if (system->held[k]) off = off > 0 && !system->macro_step ? INFINITY : 0; /* it switches */
         if (!(off <= self->mismatch)) self->mismatch = off;
     }
     return 0;
@@ -284,7 +285,7 @@ static inline int has_near_past(const Coupling *self) {
 }
 
 /* The polynomial through values and rates at the newest points, the present one among them, at the
- * next point. */
+ * next point; held inputs stay. */
 static inline void predict(const Coupling *self, int points, Interface *next) {
     const Interface *at[] = {&self->now, &self->past[0], &self->past[1]};
     const int n = 2 * (int)fmin((double)self->known + 1, points);
@@ -301,8 +302,8 @@ static inline void predict(const Coupling *self, int points, Interface *next) {
             rate = value + since * rate;
             value = d[i] + since * value;
         }
-        next->u[k] = value;
-        next->r[k] = rate;
+        next->u[k] = self->system->held[k] ? self->now.u[k] : value;
+        next->r[k] = self->system->held[k] ? 0 : rate;
     }
 }
 
@@ -329,7 +330,7 @@ static inline void from_vector(const Coupling *self, const double *w, Interface 
     const double h = self->next.t - self->now.t;
     for (long long k = 0; k < m; ++k) {
         const double size = size_of(self->system, k, self->now.u[k]);
-        at->u[k] = w[k] * size;
+        at->u[k] = self->system->held[k] ? self->now.u[k] : w[k] * size; /* without rounding */
         at->r[k] = w[m + k] * size / h;
     }
 }
@@ -391,6 +392,19 @@ static inline long long worst_input(const Coupling *self, const double *given) {
     return worst % m;
 }
 
+/* Take the held inputs out of what has been found, so that only others iterate; tells whether one
+ * has changed within the macro step. */
+static inline int leave_out_held(Coupling *self, const double *w) {
+    const System *system = self->system;
+    int changed = 0;
+    for (long long k = 0; k < system->inputs; ++k) {
+        if (!system->held[k]) continue;
+        changed |= self->next.u[k] != self->now.u[k];
+        self->found[k] = w[k];
+    }
+    return changed;
+}
+
 /* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree, or their
  * difference gets no smaller: then the best of all counts. `error` is the estimate of the
  * interface's error within, in scales. */
@@ -423,6 +437,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         const int settled = settled_next(self);
         if (settled != ACCEPTED) return settled;
         as_vector(self, &self->next, self->found);
+        self->switched = leave_out_held(self, w);
         if (agreed || final) break;
         for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
         const double left = largest(n, self->change, NULL);
@@ -455,7 +470,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     const double h = self->next.t - self->now.t;
     const double before = self->known ? self->now.t - self->past[0].t : h;
     *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;
-    *error = fmax(*error, self->mismatch);
+    *error = self->switched ? INFINITY : fmax(*error, self->mismatch);
     if (*error > system->tolerance) system->input = worst_input(self, predicted);
     return ACCEPTED;
 }

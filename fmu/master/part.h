@@ -9,11 +9,12 @@ enum { TOGETHER = 32 };  /* variables of a call that wants an order for each */
 
 typedef struct {
     const Functions *call;
-    const Recording *recording;
-    long long place, turn;               /* among the parts; when it steps */
-    long long inputs, outputs;           /* connected ones */
-    long long first_input, first_output; /* where they begin among those of all parts */
-    const uint32_t *input_references, *output_references;
+    const Recording *recording, *given, *shown; /* given: its inputs, shown: its outputs */
+    long long place, turn;                      /* among the parts; when it steps */
+    long long inputs, outputs;                  /* connected ones */
+    long long first_input, first_output;        /* where they begin among those of all parts */
+    long long moving_inputs, moving_outputs;    /* the first ones, which are real and continuous */
+    const uint32_t *input_references, *output_references; /* of these */
     long long order;      /* of derivatives of inputs that it takes, 0 to MOST_ORDER */
     long long rates;      /* whether it gives derivatives of outputs */
     long long rolls_back; /* whether its state can be saved and restored */
@@ -38,50 +39,51 @@ static inline size_t together(long long left) {
 }
 
 static inline int part_get(Fmu *fmu, const Part *self, double *y) {
-    const Functions *call = calls_of(fmu, self);
-    const size_t n = (size_t)self->outputs;
-    if (n == 0) return 0;
-    if (call->version == 2)
-        return failed(fmu, "get_real",
-                      call->get_real(call->instance, self->output_references, n, y));
-    return failed(fmu, "get_float64",
-                  call->get_float64(call->instance, self->output_references, n, y, n));
+    calls_of(fmu, self);
+    return get_row(fmu, self->shown, y);
 }
 
 static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
-    const Functions *call = calls_of(fmu, self);
-    const size_t n = (size_t)self->inputs;
-    if (n == 0) return 0;
-    if (call->version == 2)
-        return failed(fmu, "set_real",
-                      call->set_real(call->instance, self->input_references, n, u));
-    return failed(fmu, "set_float64",
-                  call->set_float64(call->instance, self->input_references, n, u, n));
+    calls_of(fmu, self);
+    return set_row(fmu, self->given, u);
 }
 
-/* Derivatives of one order of all inputs, for the next step; an FMU of version 3 asks instead. */
+/* Reads arrays of which only some elements are inputs here; `u` is for its inputs. */
+static inline int part_read_arrays(Fmu *fmu, const Part *self, double *u) {
+    int scalars = 1;
+    for (long long g = 0; g < self->given->groups; ++g)
+        scalars &= self->given->group[g].values == self->given->group[g].count;
+    if (scalars) return 0;
+    calls_of(fmu, self);
+    return get_row(fmu, self->given, u);
+}
+
+/* Derivatives of one order of the inputs that move, for the next step; an FMU of version 3 asks
+ * instead. */
 static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
                                        const double *values) {
     const Functions *call = calls_of(fmu, self);
     int32_t orders[TOGETHER];
     if (call->version == 3) return 0;
     for (int k = 0; k < TOGETHER; ++k) orders[k] = order;
-    for (long long i = 0; i < self->inputs; i += TOGETHER)
+    for (long long i = 0; i < self->moving_inputs; i += TOGETHER)
         if (failed(fmu, "set_input_derivatives",
                    call->set_input_derivatives(call->instance, self->input_references + i,
-                                               together(self->inputs - i), orders, values + i)))
+                                               together(self->moving_inputs - i), orders,
+                                               values + i)))
             return 1;
     return 0;
 }
 
-/* First derivatives of the outputs by time. */
+/* First derivatives by time of the outputs that move; NaN for others. */
 static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
     const Functions *call = calls_of(fmu, self);
     int32_t orders[TOGETHER];
     for (int k = 0; k < TOGETHER; ++k) orders[k] = 1;
-    for (long long i = 0; i < self->outputs; i += TOGETHER) {
+    for (long long i = self->moving_outputs; i < self->outputs; ++i) rates[i] = NAN;
+    for (long long i = 0; i < self->moving_outputs; i += TOGETHER) {
         const uint32_t *references = self->output_references + i;
-        const size_t n = together(self->outputs - i);
+        const size_t n = together(self->moving_outputs - i);
         if (call->version == 2 ? failed(fmu, "output_derivatives_2",
                                         call->output_derivatives_2(call->instance, references, n,
                                                                    orders, rates + i))

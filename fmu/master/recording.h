@@ -1,4 +1,4 @@
-/* What a run records: variables of every kind that is a number, as doubles. */
+/* Variables of every kind that is a number, as doubles: what a run records, and what parts get. */
 #ifndef RECORDING_H
 #define RECORDING_H
 
@@ -10,17 +10,21 @@
 /* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/compiled_run.py. */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
 
-/* Variables of one kind, and where their values are put: `buffer` holds them as they come. */
+/* Variables of one kind, `count` of them with `values` numbers, as arrays have several; `buffer`
+ * holds the numbers as they come. */
 typedef struct {
-    long long kind, count;
+    long long kind, count, values;
     const uint32_t *references;
     int (*get_2)(void *, const uint32_t *, size_t, void *);
     int (*get_3)(void *, const uint32_t *, size_t, void *, size_t);
-    const char *function;
+    int (*set_2)(void *, const uint32_t *, size_t, const void *);
+    int (*set_3)(void *, const uint32_t *, size_t, const void *, size_t);
+    const char *function, *setter; /* their names */
     void *buffer;
 } Group;
 
-/* A row per output time; `columns` says where in a row the values of each group belong. */
+/* A row per output time; `columns` says where in a row the values of each group belong, or below 0
+ * that they do not. Rows of other numbers of the same variables may be used as well. */
 typedef struct {
     long long groups, width;
     const Group *group;
@@ -44,21 +48,59 @@ static inline double number(const Group *group, long long i) {
     }
 }
 
-/* Writes what the FMU says now. Returns 0 unless a call fails. */
-static inline int record(Fmu *fmu, const Recording *self, long long row) {
-    double *const out = self->rows + row * self->width;
+static inline void put_number(const Group *group, long long i, double value) {
+    switch (group->kind) {
+    case F32: ((float *)group->buffer)[i] = (float)value; break;
+    case I8: ((int8_t *)group->buffer)[i] = (int8_t)value; break;
+    case U8: ((uint8_t *)group->buffer)[i] = (uint8_t)value; break;
+    case I16: ((int16_t *)group->buffer)[i] = (int16_t)value; break;
+    case U16: ((uint16_t *)group->buffer)[i] = (uint16_t)value; break;
+    case I32: ((int32_t *)group->buffer)[i] = (int32_t)value; break;
+    case U32: ((uint32_t *)group->buffer)[i] = (uint32_t)value; break;
+    case I64: ((int64_t *)group->buffer)[i] = (int64_t)value; break;
+    case U64: ((uint64_t *)group->buffer)[i] = (uint64_t)value; break;
+    case B8: ((bool *)group->buffer)[i] = value != 0; break;
+    default: ((double *)group->buffer)[i] = value;
+    }
+}
+
+/* Gets a row of what the FMU says now. Returns 0 unless a call fails. */
+static inline int get_row(Fmu *fmu, const Recording *self, double *out) {
     const long long *column = self->columns;
     for (long long g = 0; g < self->groups; ++g) {
         const Group *group = self->group + g;
-        const size_t n = (size_t)group->count;
+        const size_t n = (size_t)group->count, values = (size_t)group->values;
         void *const instance = fmu->call->instance;
-        const int status = group->get_2
-                               ? group->get_2(instance, group->references, n, group->buffer)
-                               : group->get_3(instance, group->references, n, group->buffer, n);
+        const int status =
+            group->get_2 ? group->get_2(instance, group->references, n, group->buffer)
+                         : group->get_3(instance, group->references, n, group->buffer, values);
         if (failed(fmu, group->function, status)) return 1;
-        for (long long i = 0; i < group->count; ++i) out[*column++] = number(group, i);
+        for (long long i = 0; i < group->values; ++i, ++column)
+            if (*column >= 0) out[*column] = number(group, i);
     }
     return 0;
+}
+
+/* Sets a row; the buffers hold other elements of its arrays. Returns 0 unless a call fails. */
+static inline int set_row(Fmu *fmu, const Recording *self, const double *in) {
+    const long long *column = self->columns;
+    for (long long g = 0; g < self->groups; ++g) {
+        const Group *group = self->group + g;
+        const size_t n = (size_t)group->count, values = (size_t)group->values;
+        void *const instance = fmu->call->instance;
+        for (long long i = 0; i < group->values; ++i, ++column)
+            if (*column >= 0) put_number(group, i, in[*column]);
+        const int status =
+            group->set_2 ? group->set_2(instance, group->references, n, group->buffer)
+                         : group->set_3(instance, group->references, n, group->buffer, values);
+        if (failed(fmu, group->setter, status)) return 1;
+    }
+    return 0;
+}
+
+/* Writes a row of what the FMU says now. Returns 0 unless a call fails. */
+static inline int record(Fmu *fmu, const Recording *self, long long row) {
+    return get_row(fmu, self, self->rows + row * self->width);
 }
 
 #endif

@@ -5,7 +5,7 @@ import ctypes
 from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
-from cosim.coupling.co_simulation import _Part, _System
+from cosim.coupling.c_structures import PartOfC, SystemOfC
 from cosim.fmi.run.c_structures import Functions, Recording, Run
 
 
@@ -20,8 +20,8 @@ def test_fields_are_those_of_the_header_in_their_order():
 
 
 def test_structures_have_the_sizes_of_the_compiler():
-    mirrored = (Functions, Recording, Run, _Part, _System)
-    sizes = ", ".join(f"sizeof({mirror.__name__.lstrip('_')})" for mirror in mirrored)
+    mirrored = (Functions, Recording, Run, PartOfC, SystemOfC)
+    sizes = ", ".join(f"sizeof({mirror.__name__.removesuffix('OfC')})" for mirror in mirrored)
     text = master_source("coupling.h", "run.h")
     text += f"SHARED const size_t *all_sizes(void) {{ static size_t a[] = {{{sizes}}}; return a; }}"
     library = ctypes.CDLL(str(cached_library(f"sizes {text}", lambda: text)))

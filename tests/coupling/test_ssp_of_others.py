@@ -3,6 +3,7 @@
 import zipfile
 
 import pytest
+from helpers.described_files import described_file
 from helpers.ssp_files import (
     NAMESPACES,
     bindings,
@@ -81,7 +82,7 @@ def test_one_connector_drives_several(read):
         (connection("s.y", "g.y"), "both ends cannot be driven"),
         (connection("g.u", "g.k"), "both ends can only be driven"),
         (connection("s.y", "g.u") * 2, "g.u is connected twice, to s.y and to s.y"),
-        (connection("s.y", "g.k"), "g.k is no continuous input"),
+        (connection("s.y", "g.k"), "g.k is no input"),
         (connection("q.y", "q.u"), r"in a ring: q.y <- q.u <- q.y"),
         (connection("s.y", "g.u", suppressUnitConversion="maybe"), "neither true nor false"),
         (connection("s.y", "g.u", '<ssc:LinearTransformation factor="1_0"/>'), "is no number"),
@@ -133,6 +134,72 @@ def test_units_are_converted_along_connectors_of_systems(read):
     plain = connection("s.y", "q.in", suppressUnitConversion="true")
     found = read(system("S", SOURCE + inner, plain))
     assert ends(found) == {"q_g.u": ("s.y", 0.001, 1)}  # y m are y mm
+
+
+FURLONG = '<ssc:Unit name="{}"><ssc:BaseUnit m="1" factor="201.168"/></ssc:Unit>'
+
+
+def units(name, prefix="ssd"):
+    return f"<{prefix}:Units>{FURLONG.format(name)}</{prefix}:Units>"
+
+
+@pytest.mark.parametrize("name", ["furlong", "km"])
+def test_units_that_the_file_defines_are_converted(read, name):
+    """Connectors of the system in a unit of the file set a parameter in m, and show an output."""
+    wires = connection("K", "s.a") + connection("s.y", "out")
+    whole = system("S", SOURCE, wires, kinds={"K": "parameter", "out": "output"})
+    whole = whole.replace("<ssc:Real/>", f'<ssc:Real unit="{name}"/>', 2)
+    system_ = read(whole, units(name))
+    final = system_.simulate(start_values={"K": 2.0}, macro_step=0.5).final
+    assert final["s.y"] == pytest.approx(2 * 201.168 + 1, rel=1e-12)
+    assert final["out"] == pytest.approx(2 + 1 / 201.168, rel=1e-12)
+    final = system_.simulate(start_values={"K": f"2 {name}"}, macro_step=0.5).final
+    assert final["s.y"] == pytest.approx(2 * 201.168 + 1, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["furlong", "m"])  # m also has the usual meaning in the FMU
+@pytest.mark.parametrize("place", ["description", "set"])
+def test_value_in_a_unit_that_the_file_defines_is_converted(read, name, place):
+    bound = values(a=2).replace('value="2"', f'value="2" unit="{name}"')
+    if place == "set":
+        own = units(name, "ssv")
+        bound = bound.replace("</ssv:ParameterSet>", f"{own}</ssv:ParameterSet>")
+    whole = system("S", component("s", "source", bound))
+    found = read(whole, units(name) if place == "description" else "")
+    assert found.start_values == {("s", "a"): pytest.approx(2 * 201.168, rel=1e-15)}
+
+
+def test_units_are_converted_by_the_definitions_of_the_fmus(tmp_path):
+    files = [
+        described_file(tmp_path / f"{name}.fmu", unit, base)
+        for name, unit, base in (("gain", "a", 'm="1" factor="3"'), ("source", "b", 'm="1"'))
+    ]
+    parts = component("s", "source", kinds={}) + component("g", "gain", kinds={})
+    whole = description(system("S", parts, connection("g.y", "s.u")))
+    found = cosim.read_ssp(package(tmp_path / "case.ssp", files, whole))
+    assert ends(found) == {"s.u": ("g.y", 3, 0)}
+
+
+def test_units_of_fmus_are_written(tmp_path):
+    parts = {
+        name: described_file(tmp_path / f"{name}.fmu", unit, base)
+        for name, unit, base in (
+            ("g", "a", 'm="1" factor="3"'),
+            ("s", "b", 'm="1"'),
+            ("w", "c", None),
+        )
+    }
+    path = cosim.couple(parts, {"s.u": "g.y"}).write_ssp(tmp_path / "case.ssp")
+    assert ends(cosim.read_ssp(path)) == {"s.u": ("g.y", 3, 0)}
+    parts["x"] = described_file(tmp_path / "x.fmu", "a", 'm="1" factor="4"')
+    with pytest.raises(UsageError, match="two FMUs define the unit 'a' differently"):
+        cosim.couple(parts, {}).write_ssp(tmp_path / "case.ssp")
+
+
+def test_unit_that_is_no_definition_is_rejected(read):
+    wrong = units("furlong").replace('"201.168"', '"two"')
+    with pytest.raises(UsageError, match=r"SystemStructure\.ssd: unit 'furlong' has a factor"):
+        read(system("S", SOURCE), wrong)
 
 
 @pytest.mark.parametrize("own_file", [False, True])

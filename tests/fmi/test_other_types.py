@@ -83,17 +83,21 @@ def test_unit_on_the_command_line_is_rejected_for_files(text):
 @pytest.mark.parametrize(
     ("connection", "reason"),
     [
-        ({"b.count": "a.x"}, "b.count is of type Int32, and connections carry real numbers"),
-        ({"b.on": "a.x"}, "b.on is of type Boolean"),
-        ({"b.label": "a.x"}, "b.label is of type String"),
-        ({"b.tiny": "a.y"}, "a.y is of type array"),
-        ({"b.tiny": "a.n"}, "a.n is of type Int32"),
-        ({"b.x": "a.x"}, "b.x is no input; connect an input: tiny"),
+        ({"b.count": "a.x"}, r"a.x \(Float64\) cannot drive b.count \(Int32\)"),
+        ({"b.on": "a.x"}, r"cannot drive b.on \(Boolean\)"),
+        ({"b.label": "a.x"}, "b.label is of type String, which connections do not carry"),
+        ({"b.tiny": "a.y"}, r"a.y is an array; connect its elements, such as a.y\[1\]"),
+        ({"b.x": "a.x"}, "b.x is no input; connect an input: tiny, count, on"),
     ],
 )
 def test_connection_of_another_type_is_rejected_with_the_type(connection, reason, written):
     with pytest.raises(UsageError, match=reason):
         cosim.couple({"a": written(), "b": written(name="other")}, connection)
+
+
+def test_text_cannot_be_recorded_in_a_system(written):
+    with pytest.raises(UsageError, match=r"a\.label is not a single number"):
+        cosim.couple({"a": written()}, {}).simulate(outputs=["a.label"])
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,15 @@ def test_public_file_is_a_part_with_every_method(path, row, method, present):
     assert coupled.final[given] == coupled.final[name]
 
 
+@rows("accuracy")
+def test_public_file_with_fixed_steps_keeps_an_accuracy(path, row, present):
+    parts = {"first": present(path), "second": present(Path(path).with_name("Feedthrough.fmu"))}
+    wires = {"second.Float64_continuous_input": f"first.{row['drives']}"}
+    run = cosim.couple(parts, wires).simulate(stop_time=1.0, accuracy=row["accuracy"])
+    alone = cosim.simulate_fmu(present(path), interface="CoSimulation", stop_time=1.0)
+    assert run.final[f"first.{row['drives']}"] == pytest.approx(alone.final[row["drives"]])
+
+
 @pytest.mark.parametrize("path", sorted(READABLE))
 def test_public_file_is_described(path, present):
     text = str(cosim.info(present(path)))

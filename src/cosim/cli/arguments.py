@@ -25,6 +25,7 @@ from cosim.scene.variants import with_solver
 TIMES = ("start_time", "stop_time", "output_interval")
 _NUMBERS = ("step_size", *LIMITS)
 _POLICY = ("on_invalid", "drift_control", "stop_when", "record_events")
+_COMMA = re.compile(r",(?![^\[\]]*\])")  # not between the indices of an element
 _WHOLE = re.compile(r"[+-]?[0-9]{1,400}")
 _NUMBER_FIRST = re.compile(r"[+-]?(\.?[0-9]|(inf|nan)\b)", re.IGNORECASE)
 
@@ -126,7 +127,7 @@ def numbers_in(option: str, text: str, unit: str = "s") -> list[float]:
 
 def names_in(text: str) -> tuple[str, ...]:
     """Return the names of a list with commas."""
-    return tuple(name.strip() for name in text.split(","))
+    return tuple(name.strip() for name in _COMMA.split(text))
 
 
 def named_scene(name: str) -> Scene:

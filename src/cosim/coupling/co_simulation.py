@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Vector
-from cosim.codegen.c_fields import fields
-from cosim.codegen.c_sources import master_source
-from cosim.codegen.compiler import cached_library
+from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
 from cosim.coupling.estimate import estimated_error
 from cosim.coupling.failures import Wiring, failure
-from cosim.coupling.opened_part import Ability, OpenedPart, explained
+from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
 from cosim.errors import Interrupted, SolverError, UsageError
-from cosim.fmi.run.c_structures import Ending, Functions, Recording
-from cosim.fmi.run.instance import by_name, why_it_ended
-from cosim.fmi.run.request import column_of, output_names
+from cosim.fmi.run.c_structures import Ending
+from cosim.fmi.run.instance import REALS, by_name, why_it_ended
+from cosim.fmi.run.request import column_of, output_names, rounding
+from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.signals import interruptible
-from cosim.memo import cached_per_thread
 from cosim.model.times import time_grid
 from cosim.trajectory import Column, Event, Trajectory
 
@@ -88,23 +86,6 @@ class _Task:
     called: ctypes.c_longlong
 
 
-class _Part(ctypes.Structure):
-    """`Part` in fmu/master/part.h."""
-
-    _fields_ = fields(
-        "master/part.h",
-        "Part",
-        call=ctypes.POINTER(Functions),
-        recording=ctypes.POINTER(Recording),
-    )
-
-
-class _System(ctypes.Structure):
-    """`System` in fmu/master/interface.h."""
-
-    _fields_ = fields("master/interface.h", "System", parts=ctypes.POINTER(_Part))
-
-
 class CoSimulation:
     """The FMUs of a system, open for several runs.
 
@@ -130,22 +111,32 @@ class CoSimulation:
     ) -> None:
         self.name = name
         self._open, self._turns = ExitStack(), list(files)
-        wires = sorted(wires, key=lambda wire: wire.input)
         self.parts = dict[str, OpenedPart]()
-        sources = list[tuple[str, str]]()
-        callback = ctypes.cast(_library().give_inputs, ctypes.c_void_p).value or 0
+        sources, inputs = list[tuple[str, str]](), list[tuple[str, str]]()
+        driven = {wire.input: wire for wire in wires}
+        callback = ctypes.cast(coupling_library().give_inputs, ctypes.c_void_p).value or 0
         for part, path in sorted(files.items()):  # in any order of the parts the same bits
-            inputs = [wire.input[1] for wire in wires if wire.input[0] == part]
-            outputs = sorted({wire.output[1] for wire in wires if wire.output[0] == part})
-            sources += [(part, output) for output in outputs]
+            own = {wire.input[1] for wire in wires if wire.input[0] == part}
+            outputs = {wire.output[1] for wire in wires if wire.output[0] == part}
             without = unused.get(part, ())
-            self.parts[part] = opened = OpenedPart(part, path, inputs, outputs, callback, without)
+            self.parts[part] = opened = OpenedPart(part, path, own, outputs, callback, without)
             self._open.callback(opened.close)
-        self._inputs = [wire.input for wire in wires]
+            sources += [(part, variable.name) for variable in opened.outputs]
+            inputs += [(part, variable.name) for variable in opened.inputs]
+        wires, self._inputs = [driven[one] for one in inputs], inputs
         self._wiring = Wiring(self.parts, self._inputs, [w.output for w in wires], is_model)
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
+        driving = [v for opened in self.parts.values() for v in opened.outputs]
+        self._held = np.array(  # and one more, so that it is not empty
+            [
+                not (is_continuous(v) and driving[source].type in REALS)
+                for v, source in zip(self._input_variables, self._source, strict=True)
+            ]
+            + [False],
+            dtype=np.int64,
+        )
         self._feeds = np.zeros((len(sources), len(wires)), dtype=np.int64)
         row = column = 0
         for opened in self.parts.values():
@@ -153,6 +144,11 @@ class CoSimulation:
             end, right = row + block.shape[0], column + block.shape[1]
             self._feeds[row:end, column:right] = block
             row, column = end, right
+
+    @property
+    def _input_variables(self) -> list[Any]:
+        """The connected inputs of all parts."""
+        return [v for opened in self.parts.values() for v in opened.inputs]
 
     def close(self) -> None:
         """Free all instances."""
@@ -277,8 +273,8 @@ class CoSimulation:
         steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
         parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
-        guess = np.array([float(v.start or 0) for p in self.parts.values() for v in p.inputs] + [0])
-        system = _System(
+        guess = np.array([*map(start_number, self._input_variables), 0.0])
+        system = SystemOfC(
             parts=parts,
             n_parts=len(self.parts),
             inputs=len(self._inputs),
@@ -286,6 +282,7 @@ class CoSimulation:
             source=self._source.ctypes.data,
             factor=self._factor.ctypes.data,
             offset=self._offset.ctypes.data,
+            held=self._held.ctypes.data,
             u=guess.ctypes.data,
             scale=scale.ctypes.data,
             grows=grows.ctypes.data,
@@ -301,7 +298,7 @@ class CoSimulation:
             threads=settings.threads,
             called=ctypes.addressof(task.called),
         )
-        library, everything = _library(), np.ones_like(self._feeds)
+        library, everything = coupling_library(), np.ones_like(self._feeds)
         system.feeds = everything.ctypes.data  # a start value may follow from any input
         with interruptible(library) as interrupts:
             library.settle_coupled(ctypes.byref(system))
@@ -315,7 +312,7 @@ class CoSimulation:
 
     def _result(
         self,
-        system: _System,
+        system: SystemOfC,
         settings: Settings,
         grid: Vector,
         tables: Mapping[str, Vector],
@@ -349,8 +346,6 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
-        if notes := self._notes(system, settings):
-            stats["note"] = "; ".join(notes)
         run = Trajectory(
             self.name,
             times,
@@ -360,6 +355,9 @@ class CoSimulation:
             status="complete",
             events=self._events(),
         )
+        recorded = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
+        if notes := [*self._notes(system, settings), *filter(None, [rounding(recorded, run)])]:
+            stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
             run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
@@ -396,7 +394,7 @@ class CoSimulation:
             found[name] = ", ".join(words)
         return found
 
-    def _notes(self, system: _System, settings: Settings) -> list[str]:
+    def _notes(self, system: SystemOfC, settings: Settings) -> list[str]:
         notes = []
         if system.unsettled:
             notes.append(
@@ -434,17 +432,21 @@ class CoSimulation:
         own_step: Mapping[str, float],
     ) -> tuple[Any, list[Any]]:
         """Return the parts for the C code, and what must live as long as they."""
-        parts, held = (_Part * len(self.parts))(), list[Any]()
+        parts, held = (PartOfC * len(self.parts))(), list[Any]()
         for place, (name, part) in zip(parts, self.parts.items(), strict=True):
+            moving = part.moving_inputs, part.moving_outputs
             references = [
                 np.array([v.valueReference for v in variables] + [0], dtype=np.uint32)
-                for variables in (part.inputs, part.outputs)
+                for variables in moving
             ]
             held += references
             known = by_name(part.description)
             variables = [known[variable] for variable in columns[name]]
             place.call = ctypes.pointer(part.calls.functions)
             place.recording = ctypes.pointer(part.calls.recording(variables, tables[name]))
+            place.given = ctypes.pointer(part.given.structure)
+            place.shown = ctypes.pointer(part.shown.structure)
+            place.moving_inputs, place.moving_outputs = map(len, moving)
             place.turn = self._turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)
             place.input_references, place.output_references = (r.ctypes.data for r in references)
@@ -456,7 +458,7 @@ class CoSimulation:
 
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:
         """Return the sizes of the inputs, and whether they grow as their FMU declares none."""
-        variables = [v for part in self.parts.values() for v in part.inputs]
+        variables = self._input_variables
         scale = np.array([float(v.nominal or 1.0) for v in variables] + [1.0])
         return scale, np.array([v.nominal is None for v in variables] + [False], dtype=np.int64)
 
@@ -464,12 +466,3 @@ class CoSimulation:
 @lru_cache(1024)
 def _column(name: str, variable: str, description: Any) -> Column:
     return replace(column_of(by_name(description)[variable], description), name=name)
-
-
-@cached_per_thread(1)
-def _library() -> ctypes.CDLL:
-    text = master_source("coupling.h")
-    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    for call in (library.settle_coupled, library.run_coupled):
-        call.argtypes, call.restype = [ctypes.POINTER(_System)], None
-    return library

@@ -1,11 +1,12 @@
 """`Connector`: a name of a whole system for inputs and parameters of its parts, or an output."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from casadi_models.units import Unit
 from cosim.trajectory import Trajectory
 
 
@@ -24,6 +25,7 @@ class Connector:
     Attributes:
         name: Of the connector.
         unit: Of its value; None if it has none.
+        units: What its file says that the unit means, by name.
         is_input: Whether its value sets variables of parts: variable = factor value + offset.
             Otherwise it shows one: value = factor variable + offset.
         ends: The variables; one for an output.
@@ -33,6 +35,7 @@ class Connector:
     unit: str | None
     is_input: bool
     ends: tuple[End, ...]
+    units: Mapping[str, Unit] = field(default_factory=dict)
 
     @property
     def shows(self) -> bool:

@@ -1,6 +1,6 @@
 """`OpenedPart`: an instance of a part of a coupled system, and what it can do."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import IntEnum, StrEnum
 from pathlib import Path
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.errors import FmuError, UnknownName, UsageError
-from cosim.fmi.run.c_structures import Calls
+from cosim.fmi.run.arrays import Element, Layout
+from cosim.fmi.run.c_structures import Calls, Recorded
 from cosim.fmi.run.instance import (
+    REALS,
     Interface,
     asks_for_inputs,
     begin_initialization,
@@ -81,8 +83,8 @@ class OpenedPart:
         self,
         name: str,
         path: Path,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
+        inputs: Iterable[str],
+        outputs: Iterable[str],
         callback: int,
         unused: Collection[Ability] = (),
     ) -> None:
@@ -93,19 +95,21 @@ class OpenedPart:
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
         known, abilities = by_name(fmu.description), fmu.description.coSimulation
-        self.inputs = [known[name] for name in inputs]
-        self.outputs = [known[name] for name in outputs]
+        self.moving_inputs, self.inputs = _in_order([known[n] for n in inputs], is_continuous)
+        self.moving_outputs, self.outputs = _in_order([known[n] for n in outputs])
+        all_move = self.inputs == self.moving_inputs and self.outputs == self.moving_outputs
         derivatives = int(abilities.maxOutputDerivativeOrder or 0) >= 1
         derivatives = derivatives and Ability.RATES not in unused
-        self.rates = derivatives and all(v.causality == "output" for v in self.outputs)
+        self.rates = derivatives and all(v.causality == "output" for v in self.moving_outputs)
         self.rolls_back = bool(abilities.canGetAndSetFMUstate) and Ability.ROLLBACK not in unused
-        directional = Ability.DIRECTIONAL not in unused
+        directional = Ability.DIRECTIONAL not in unused and all_move
         self.directional = bool(abilities.providesDirectionalDerivative) and directional
         self.order = InputOrder.CONSTANT
         interpolates = Ability.INTERPOLATION not in unused
         if interpolates and is_second(fmu.description) and abilities.canInterpolateInputs:
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
         events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
+        events = events and all(map(is_continuous, self.inputs))  # others change in that mode only
         self.event_mode = self.rolls_back and events
         self.any_step = bool(abilities.canHandleVariableCommunicationStepSize)
         internal = getattr(abilities, "fixedInternalStepSize", None)
@@ -115,7 +119,7 @@ class OpenedPart:
             fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
         if interpolates and fmu.reset_is_enough and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
-            references = [variable.valueReference for variable in self.inputs]
+            references = Layout.of(self.moving_inputs).references
             fmu.callback["requiredIntermediateVariables"] = references
             fmu.callback["intermediateUpdate"] = callback
 
@@ -133,6 +137,10 @@ class OpenedPart:
         instance, self.explained = self._fmu.ready()
         if instance is not self.instance:
             self.instance, self.calls = instance, Calls(instance, self.description)
+            self.given, self.shown = (
+                Recorded(instance, self.description, variables)
+                for variables in (self.inputs, self.outputs)
+            )
         instance.logged_events.clear()
         instance.log_texts.clear()
         begin_initialization(self.instance, self.description, values, **experiment)
@@ -142,11 +150,31 @@ class OpenedPart:
         structure = {unknown.variable.name: unknown for unknown in self.description.outputs}
         found = np.ones((len(self.outputs), len(self.inputs)), dtype=np.int64)
         for row, output in zip(found, self.outputs, strict=True):
-            unknown = structure.get(output.name)
+            unknown = structure.get(_whole(output).name)
             if unknown is not None and unknown.dependencies is not None:
                 names = {variable.name for variable in unknown.dependencies}
-                row[:] = [variable.name in names for variable in self.inputs]
+                row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
+
+
+def is_continuous(variable: Any) -> bool:
+    """Tell whether an input may change at any time."""
+    return variable.type in REALS and variable.variability == "continuous"
+
+
+def _in_order(
+    variables: Iterable[Any], moves: Callable[[Any], bool] = lambda _: True
+) -> tuple[list[Any], list[Any]]:
+    """Return the variables that may have derivatives by time, real scalars, and then all others."""
+    ordered = sorted(variables, key=lambda variable: variable.name)
+    real = [v for v in ordered if v.type in ("Real", "Float64") and not isinstance(v, Element)]
+    moving = [v for v in real if moves(v)]
+    return moving, [*moving, *(v for v in ordered if v not in moving)]
+
+
+def _whole(variable: Any) -> Any:
+    """Return the array of an element, or else the variable, as the model structure has it."""
+    return variable.array if isinstance(variable, Element) else variable
 
 
 @contextmanager

@@ -42,7 +42,7 @@ def own_steps(
         macro_step: s; None if it is chosen by the accuracy.
         interval, span: Distance of the output times and length of the run, s.
         at_internal_steps: Whether macro steps that are chosen end with steps of the solvers inside
-            the parts where their length is fixed. Outputs change there only.
+            parts that drive others where their length is fixed. Outputs change there only.
 
     Raises:
         UsageError: The macro step, the output interval or the span is no multiple of it, or the
@@ -79,7 +79,7 @@ def own_steps(
         )
     if macro_step is not None:
         return OwnSteps(found, 0.0)
-    internal = {part.internal_step for part in parts.values() if at_internal_steps}
+    internal = {p.internal_step for p in parts.values() if at_internal_steps and p.outputs}
     return OwnSteps(found, _common_multiple({quantum, *internal} - {0.0}) or quantum)
 
 

@@ -3,15 +3,27 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
+from typing import Any
 
 from casadi_models.dae import Dae
 from casadi_models.dae.variables import is_name
-from casadi_models.units import Unit, parse_unit
+from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.instance import by_name, is_number, may_be_set, read_description, unit_of
-from cosim.fmi.units import units_for
+from cosim.fmi.run.arrays import with_elements
+from cosim.fmi.run.instance import (
+    NUMERIC,
+    REALS,
+    by_name,
+    is_number,
+    may_be_set,
+    read_description,
+    unit_of,
+)
+from cosim.fmi.run.typed_values import RANGES
+from cosim.fmi.units import Measured, units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -22,9 +34,10 @@ class Variable:
 
     Attributes:
         name, unit: Name and unit.
-        units: Definitions of units by name, with that of its own unit if there is one.
         is_input, is_source, is_start: Whether it can be driven, can drive, has a start value.
-        other_type: Its type if it is no real number of double precision, which cannot be connected.
+        units: Definitions of units by name, with that of its own unit if there is one.
+        type: Of its values, as the FMI calls it; "array" for an array as a whole.
+        declaredType: fmpy's type with the items of an enumeration.
     """
 
     name: str
@@ -33,20 +46,41 @@ class Variable:
     is_source: bool
     is_start: bool
     units: Mapping[str, Unit] = field(default_factory=dict)
-    other_type: str = ""
+    type: str = "Real"
+    declaredType: Any = None  # noqa: N815 # as fmpy calls it, for `typed_value`
 
     @property
     def definition(self) -> Unit | None:
         """What the unit means; None if there is no unit, or nothing defines it."""
-        return None if self.unit is None else self.units.get(self.unit) or parse_unit(self.unit)
+        return self.measured.definition
 
-    def reject_other_type(self, shown: str) -> None:
-        """Raise UsageError if no connection can carry its type; `shown` names it in the system."""
-        if self.other_type:
-            raise UsageError(
-                f"{shown} is of type {self.other_type}, and connections carry real numbers; "
-                "connect a variable of type Real or Float64"
-            )
+    @property
+    def measured(self) -> Measured:
+        """The unit with its meaning."""
+        return Measured.of(self.unit, self.units)
+
+    @property
+    def items(self) -> dict[str, int]:
+        """The values of an enumeration by name; of another type none."""
+        listed = self.declaredType.items if self.type == "Enumeration" and self.declaredType else ()
+        return {item.name: int(item.value) for item in listed}
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The smallest and the largest integer that it may be; infinity for other types."""
+        values = [*self.items.values()] or [*RANGES.get(self.type, ())]
+        return min(values, default=-inf), max(values, default=inf)
+
+    def takes(self, driving: "Variable") -> bool:
+        """Tell whether it has every value of another one, so that nothing is rounded or wrapped."""
+        if self.type in REALS:
+            return driving.type in REALS or driving.type in RANGES
+        if self.type in RANGES:
+            (low, high), (least, most) = driving.range, self.range
+            return driving.type != "Boolean" and least <= low and high <= most
+        if self.type == "Enumeration" and driving.type in RANGES:  # which of its items, as in FMI
+            return True
+        return self.type == driving.type and self.items == driving.items
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +108,13 @@ class Part:
         if name not in self.variables:
             raise UnknownName.among(f"part '{self.name}'", "variable", name, self.variables)
         return self.variables[name]
+
+    def numbers(self, name: str) -> list[str]:
+        """Return the variables that can be recorded by a name: itself, or elements of an array."""
+        array = self.variables[name].type == "array"
+        own = [v.name for v in self.variables.values() if v.name.startswith(f"{name}[")]
+        numbers = own if array else [name]
+        return [one for one in numbers if NUMERIC.fullmatch(self.variables[one].type)]
 
 
 def part_of(name: str, subject: object, folder: Path) -> Part:
@@ -115,7 +156,7 @@ def _of_model(dae: Dae) -> dict[str, Variable]:
 
 def _of_fmu(path: Path) -> dict[str, Variable]:
     with unpacked(path) as folder:
-        description = read_description(folder, path)
+        description = with_elements(read_description(folder, path))
     if description.coSimulation is None:
         exchange = description.modelExchange is not None
         only = "model exchange" if exchange else "scheduled execution"
@@ -125,16 +166,44 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         )
     found = {}
     for name, variable in by_name(description).items():
-        other = "array" if variable.dimensions else variable.type
-        other = "" if other in ("Real", "Float64") else other
-        continuous = not other
-        is_input = continuous and variable.causality == "input"
-        source = continuous and variable.causality in ("output", "local")
+        is_input = is_number(variable) and variable.causality == "input"
+        source = is_number(variable) and variable.causality in ("output", "local")
         start = is_number(variable) and may_be_set(variable)
+        start = start and variable.causality != "structuralParameter"  # sizes are those of the file
         units = units_for(variable, description)
-        unit = unit_of(variable)
-        found[name] = Variable(variable.name, unit, is_input, source, start, units, other)
+        kind = "array" if variable.dimensions else variable.type
+        facts = unit_of(variable), is_input, source, start, units, kind, variable.declaredType
+        found[name] = Variable(variable.name, *facts)
     return found
+
+
+def reject_types(
+    sink: str, driven: Variable, source: str, driving: Variable, *, changed: bool
+) -> None:
+    """Raise UsageError if a connection cannot carry the values of `source` to `sink`.
+
+    Args:
+        changed: Whether it has a linear transformation.
+    """
+    for name, variable in ((sink, driven), (source, driving)):
+        if variable.type == "array":
+            raise UsageError(f"{name} is an array; connect its elements, such as {name}[1]")
+        if NUMERIC.fullmatch(variable.type) is None:
+            raise UsageError(
+                f"{name} is of type {variable.type}, which connections do not carry; connect "
+                "numbers, Booleans or enumerations"
+            )
+    if not driven.takes(driving):
+        other = " with other items" if driven.type == driving.type == "Enumeration" else ""
+        raise UsageError(
+            f"{source} ({driving.type}) cannot drive {sink} ({driven.type}{other}), which does not "
+            "have all its values; connect variables of one type"
+        )
+    if changed and driven.type not in REALS:
+        raise UsageError(
+            f"{source} cannot drive {sink} by a linear transformation, as {sink} is of type "
+            f"{driven.type}; transform real numbers only"
+        )
 
 
 def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:

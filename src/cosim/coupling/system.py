@@ -12,11 +12,11 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
-from casadi_models.units import Unit, conversion, parse_unit
+from casadi_models.units import Unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part, split_key, split_name
+from cosim.coupling.part import Part, Variable, reject_types, split_key, split_name
 from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import (
     Interrupted,
@@ -27,7 +27,10 @@ from cosim.errors import (
 )
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.instance import REALS
+from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.ssp import write_ssp
+from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
 from cosim.integrate.modes import hybrid
@@ -239,9 +242,22 @@ class System:
             raise UsageError(f"{self.name} has no parts; there is nothing to simulate")
 
     def _resolved(self, outputs: Sequence[str]) -> list[str]:
-        """Return names of outputs as a run has them; a variable of a part may have several."""
+        """Return names of outputs as a run has them; a variable of a part may have several.
+
+        The name of an array stands for its elements.
+        """
         own = {connector.name for connector in self.connectors.values() if connector.shows}
-        return [name if name in own else ".".join(split_name(self.parts, name)) for name in outputs]
+        found = list[str]()
+        for name in outputs:
+            if name in own:
+                found.append(name)
+                continue
+            part, variable = split_name(self.parts, name)
+            numbers = self.parts[part].numbers(variable)
+            if not numbers:
+                raise UsageError(f"{name} is not a single number and cannot be recorded")
+            found += [f"{part}.{number}" for number in numbers]
+        return found
 
     def _recorded(
         self, simulation: CoSimulation, names: Sequence[str] | None
@@ -287,8 +303,7 @@ class System:
 
     def _change_of_units(self, wire: Connection) -> tuple[float, float]:
         sink, source = (self.parts[part].variable(name) for part, name in (wire.input, wire.output))
-        ends = (sink.unit, sink.definition), (source.unit, source.definition)
-        return change_of_units(sink.name, ends[0], source.name, ends[1])
+        return change_of_units(sink.name, sink.measured, source.name, source.measured)
 
     def holds(self, resource: AbstractContextManager[Any], *folders: Path) -> None:
         """Keep what the parts need, such as unpacked files, as long as the system lives.
@@ -375,8 +390,7 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
     """
     ends = split_name(parts, sink), split_name(parts, source)
     driven, driving = (parts[part].variable(name) for part, name in ends)
-    for name, variable in ((sink, driven), (source, driving)):
-        variable.reject_other_type(name)
+    reject_types(sink, driven, source, driving, changed=False)
     if not driven.is_input:
         inputs = [v.name for v in parts[ends[0][0]].variables.values() if v.is_input]
         raise UsageError(
@@ -384,40 +398,7 @@ def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connecti
         )
     if not driving.is_source:
         raise UsageError(f"{source} is no output and no state; connect one that is")
-    measured = (driven.unit, driven.definition), (driving.unit, driving.definition)
-    return Connection(*ends, *change_of_units(sink, measured[0], source, measured[1]))
-
-
-Measured = tuple[str | None, Unit | None]  # name of a unit, and what it means
-
-
-def named_unit(name: str | None) -> Measured:
-    """Return a unit with its usual meaning."""
-    return name, None if name is None else parse_unit(name)
-
-
-def change_of_named_units(
-    sink: str, to: str | None, source: str, of: str | None
-) -> tuple[float, float]:
-    """Return the same as `change_of_units` for units with their usual meaning."""
-    return change_of_units(sink, named_unit(to), source, named_unit(of))
-
-
-def change_of_units(
-    sink: str, driven: Measured, source: str, driving: Measured
-) -> tuple[float, float]:
-    """Return factor and offset from one unit to another; units without definition are equal.
-
-    Raises:
-        UsageError: They measure different quantities.
-    """
-    (to, into), (of, given) = driven, driving
-    if given is None or into is None:
-        return 1.0, 0.0
-    try:
-        return conversion(given, into)
-    except ValueError as error:
-        raise UsageError(f"{source} [{of}] cannot drive {sink} [{to}]: {error}") from error
+    return Connection(*ends, *change_of_units(sink, driven.measured, source, driving.measured))
 
 
 def _undefined_units(
@@ -457,16 +438,27 @@ def values_of(
         connector = connectors.get(name)
         if connector is not None and connector.is_input:
             key, ends = ("the system", name), connector.ends
-            unit, units = connector.unit, dict[str, Unit]()
+            unit, units = connector.unit, dict(connector.units)
         else:
             key = split_name(parts, name)
             variable, ends = parts[key[0]].variable(key[1]), (End(key, 1.0, 0.0),)
             unit, units = variable.unit, dict(variable.units)
-        if not all(parts[part].variable(own).is_start for (part, own), *_ in ends):
+        variables = [parts[part].variable(own) for (part, own), *_ in ends]
+        if not all(variable.is_start for variable in variables):
             raise UsageError(f"{name} cannot be given; it is calculated")
-        plain = _plain(key, value, unit, units)
-        found |= {end.variable: end.factor * plain + end.offset for end in ends}
+        other = next((v for v in variables if v.type not in REALS), None)
+        plain = _plain(key, value, unit, units) if other is None else _typed(key[0], other, value)
+        for end, variable in zip(ends, variables, strict=True):
+            same = (end.factor, end.offset) == (1.0, 0.0)
+            own = plain if same else end.factor * plain + end.offset
+            found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
+
+
+def _typed(owner: str, variable: Variable, value: object) -> Any:
+    """Return a value, or what a text says, as the type of a variable requires."""
+    whole = isinstance(value, str) and value.strip().removeprefix("-").isdecimal()
+    return typed_value(owner, variable, int(str(value)) if whole else value)
 
 
 def _plain(

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import UNITS
+from casadi_models.units import Unit
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
-from cosim.fmi.run.instance import unit_of
+from cosim.fmi.run.instance import REALS, unit_of
+from cosim.fmi.run.typed_values import RANGES, start_number
+from cosim.fmi.units import definitions
 from cosim.model.values import number
 from cosim.trajectory import repr_17
 
@@ -22,30 +24,47 @@ TYPE = "application/x-ssp-parameter-set"
 
 
 def parameter_set(
-    name: str, values: Mapping[str, float], units: Mapping[str, str | None]
+    name: str, values: Mapping[str, float], known: Mapping[str, Any], defined: Mapping[str, Unit]
 ) -> ET.Element:
     """Return a parameter set.
 
     Args:
         values: Values by variable, in the variables' units.
+        known: fmpy's variables by name.
+        defined: Definitions of units by name.
     """
     root = ET.Element(f"{{{SSV}}}ParameterSet", version="1.0", name=name)
     parameters = ET.SubElement(root, f"{{{SSV}}}Parameters")
-    used = {v: unit for v in values if (unit := units.get(v)) is not None}
+    used = {v: unit for v in values if (unit := unit_of(known[v])) is not None}
     for variable, value in values.items():
         entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=variable)
         measured = {"unit": used[variable]} if variable in used else {}
-        ET.SubElement(entry, f"{{{SSV}}}Real", {"value": repr_17(value)} | measured)
+        kind, text = _kind(known[variable]), repr_17(value)
+        if kind == "Boolean":
+            text = str(bool(value)).lower()
+        elif kind == "Enumeration":
+            items = known[variable].declaredType.items
+            text = next(item.name for item in items if int(item.value) == value)
+        elif kind == "Integer":
+            text = str(int(value))
+        ET.SubElement(entry, f"{{{SSV}}}{kind}", {"value": text} | measured)
     if used:
-        root.append(unit_list(f"{{{SSV}}}Units", used.values()))
+        root.append(unit_list(f"{{{SSV}}}Units", used.values(), defined))
     return root
 
 
-def unit_list(tag: str, names: Iterable[str]) -> ET.Element:
+def _kind(variable: Any) -> str:
+    """Return the type of a variable of fmpy's as SSP 1.0 calls it."""
+    if variable.type in RANGES:
+        return "Integer"
+    return "Real" if variable.type in REALS else str(variable.type)
+
+
+def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> ET.Element:
     """Return the definitions of units, without repetition."""
     element = ET.Element(tag)
-    for name in sorted(set(names)):
-        unit = UNITS[name]
+    for name in sorted(set(names) & set(defined)):
+        unit = defined[name]
         base = {symbol: str(exponent) for symbol, exponent in unit.base}
         factor = {} if unit.factor == 1 else {"factor": repr_17(unit.factor)}
         factor |= {"offset": repr_17(unit.offset)} if unit.offset else {}
@@ -114,6 +133,7 @@ def write_ssp(
                 f"write_ssp: stop_time = {stop_time:g} s is not after start_time = {start_time:g} s"
             )
     described = {name: _described(path) for name, path in components.items()}
+    defined = _defined_units(description for description, _ in described.values())
     ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
     given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
     for key in open_inputs:
@@ -123,17 +143,16 @@ def write_ssp(
     changes = {
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
-    name, files, used = name or Path(target).stem, dict[str, bytes](), set[str]()
+    name, files = name or Path(target).stem, dict[str, bytes]()
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
-    for component, (description, _) in described.items():
+    for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
-        used |= {unit for unit in units.values() if unit}
         element = _component(component, description, units)
         if own:
-            chosen = parameter_set("initialValues", own, units)
+            chosen = parameter_set("initialValues", own, variables, defined)
             bindings = ET.SubElement(element, f"{{{SSD}}}ParameterBindings")
             binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
             if parameter_files:
@@ -153,14 +172,31 @@ def write_ssp(
             joint.set("suppressUnitConversion", "true")
             linear = {"factor": factor, "offset": offset}
             ET.SubElement(joint, f"{{{SSC}}}LinearTransformation", linear)
-    if used:
-        root.append(unit_list(f"{{{SSD}}}Units", used))
+    if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
+        root.append(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
         span = {"startTime": repr_17(start_time)}
         span |= {} if stop_time is None else {"stopTime": repr_17(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in components.items()}
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
+
+
+def _defined_units(files: Iterable[Any]) -> dict[str, Unit]:
+    """Return the definitions of units of FMUs.
+
+    Raises:
+        UsageError: Two of them define a unit differently.
+    """
+    found = dict[str, Unit]()
+    for file in files:
+        for name, unit in definitions(file).items():
+            if found.setdefault(name, unit) != unit:
+                raise UsageError(
+                    f"two FMUs define the unit '{name}' differently, and an SSP file has one "
+                    "definition; rename one"
+                )
+    return found
 
 
 def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
@@ -179,7 +215,7 @@ def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
 
 def _start(described: tuple[Any, dict[str, Any]], name: str) -> float:
     """Return the start value of a variable; 0 if it has none."""
-    return float(described[1][name].start or 0.0)
+    return start_number(described[1][name])
 
 
 def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
@@ -190,8 +226,9 @@ def _component(name: str, description: Any, units: Mapping[str, str | None]) -> 
         if variable.causality in ("input", "output", "parameter"):
             facts = {"name": variable.name, "kind": variable.causality}
             connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", facts)
-            unit, kind = units[variable.name], "Boolean" if variable.type == "Boolean" else "Real"
-            ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
+            unit, kind = units[variable.name], _kind(variable)
+            if kind != "Enumeration":  # whose type the FMU describes
+                ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
     return component
 
 

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from functools import lru_cache
 from math import isclose, isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from casadi_models.units import Unit, conversion, parse_unit
+from cosim.errors import UsageError
 from cosim.fmi.run.instance import unit_of
 
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -34,6 +35,36 @@ def base_unit(attributes: Mapping[str, Any]) -> Unit:
     if not (factor and isfinite(factor) and isfinite(offset)):
         raise ValueError(f"factor {factor} and offset {offset} define no unit")
     return Unit(factor, tuple((name, n) for name, n in exponents.items() if n), offset)
+
+
+class Measured(NamedTuple):
+    """The name of a unit, and what it means; None for what is missing."""
+
+    name: str | None = None
+    definition: Unit | None = None
+
+    @classmethod
+    def of(cls, name: str | None, defined: Mapping[str, Unit]) -> "Measured":
+        """Return a unit by its definition in a file, or else with its usual meaning."""
+        usual = parse_unit(name.strip("[]")) if name else None  # tables have units in brackets
+        return cls() if name is None else cls(name, defined.get(name) or usual)
+
+
+def change_of_units(
+    sink: str, driven: Measured, source: str, driving: Measured
+) -> tuple[float, float]:
+    """Return factor and offset from one unit to another; units without definition are equal.
+
+    Raises:
+        UsageError: They measure different quantities.
+    """
+    if driving.definition is None or driven.definition is None:
+        return 1.0, 0.0
+    try:
+        return conversion(driving.definition, driven.definition)
+    except ValueError as error:
+        ends = f"{source} [{driving.name}] cannot drive {sink} [{driven.name}]"
+        raise UsageError(f"{ends}: {error}") from error
 
 
 @lru_cache(8)

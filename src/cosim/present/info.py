@@ -184,10 +184,15 @@ def _fmu_info(path: Path) -> Info:
         "fmi": f"{root.get('fmiVersion')}, {' and '.join(described.interfaces)}",
         "span": f"{span.get('startTime', '0')} ... {span.get('stopTime', '?')} s",
     }
-    meanings = [element.get("description", "") for element in root.findall("ModelVariables/*")]
+    elements = root.findall("ModelVariables/*")
+    starts = {element.get("valueReference"): element.get("start") for element in elements}
     tables: dict[str, list[dict[str, Any]]] = {}
-    for variable, meaning in zip(described.variables, meanings, strict=True):
-        tables.setdefault(variable.causality, []).append(_fmu_row(variable, meaning))
+    for variable, element in zip(described.variables, elements, strict=True):
+        row = _fmu_row(variable, element.get("description", ""))
+        if sizes := element.findall("Dimension"):
+            texts = (size.get("start", starts.get(size.get("valueReference"))) for size in sizes)
+            row["dimensions"] = [int(text) if text and text.isdecimal() else None for text in texts]
+        tables.setdefault(variable.causality, []).append(row)
     return Info({key: value for key, value in facts.items() if value}, tables)
 
 
@@ -222,5 +227,8 @@ def _shown_row(row: Mapping[str, Any]) -> dict[str, Any]:
     note = f"{text} (calculated)" if text else "calculated"
     low, high = ("" if b is None else _shown_bound(b) for b in (row["minimum"], row["maximum"]))
     bounds = f"{low or '-inf'} ... {high or 'inf'}" if low or high else ""
-    shown = {**row, "start": note if kind == "calculated" else text, "bounds": bounds}
+    indices = ",".join(f"1..{'?' if n is None else n}" for n in row.get("dimensions", ()))
+    name = f"{row['name']}[{indices}]" if indices else row["name"]
+    start_text = note if kind == "calculated" else text
+    shown = {**row, "name": name, "start": start_text, "bounds": bounds}
     return {key: shown[key] for key in _VARIABLE_COLUMNS}

@@ -1,6 +1,6 @@
 """What drives each connector of an SSP file: declared connectors only, each driven at most once."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
@@ -8,8 +8,7 @@ from cosim.coupling.ssp.package import Document
 from cosim.coupling.ssp.parameters import linear, truth
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role
 from cosim.errors import UnknownName, UsageError
-
-Conversion = Callable[[str, str | None, str, str | None], tuple[float, float]]
+from cosim.fmi.units import Measured, change_of_units
 
 
 class Node(NamedTuple):
@@ -75,7 +74,7 @@ class Connections:
 
     def __init__(self, system: Element, variables: Mapping[Place, Mapping[str, Declared]]) -> None:
         self._variables = variables
-        self._units = dict[Node, str | None]()
+        self._units = dict[Node, Measured]()
         self._drivers = dict[Node, Driver]()
         open_ends = list[tuple[_End, _End, Driver]]()
         for element in system.walk():
@@ -98,17 +97,16 @@ class Connections:
             node = self._drivers[node].source
         return Way(node, steps[::-1], sink)
 
-    def unit(self, node: Node) -> str | None:
-        """Return the unit of a connector; None if it has none."""
-        return self._units.get(node)
+    def unit(self, node: Node) -> Measured:
+        """Return the unit of a connector."""
+        return self._units.get(node, Measured())
 
-    def change(self, steps: Steps, unit: str | None, conversion: Conversion) -> tuple[float, float]:
+    def change(self, steps: Steps, unit: Measured) -> tuple[float, float]:
         """Return factor and offset along connections.
 
         Args:
             steps: Driven connectors with their drivers, the first driven one first.
             unit: Of the value that drives the first one.
-            conversion: Returns factor and offset from one unit to another.
 
         Raises:
             UsageError: Units do not fit.
@@ -118,12 +116,12 @@ class Connections:
             own = self.unit(node)
             if not driver.keeps_unit:
                 try:
-                    scale, shift = conversion(str(node), own, str(driver.source), unit)
+                    scale, shift = change_of_units(str(node), own, str(driver.source), unit)
                 except UsageError as error:
                     raise driver.document.fault(str(error)) from error
                 factor, offset = scale * factor, scale * offset + shift
             factor, offset = driver.factor * factor, driver.factor * offset + driver.offset
-            unit = own if own is not None or driver.keeps_unit else unit
+            unit = own if own.name is not None or driver.keeps_unit else unit
         return factor, offset
 
     def _read(

@@ -2,13 +2,16 @@
 
 import posixpath
 import re
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
+from casadi_models.units import Unit
 from cosim.errors import CosimError, FmuError, SecurityError, UsageError
 from cosim.fmi.archive import (
     MOST_BYTES,
@@ -17,6 +20,7 @@ from cosim.fmi.archive import (
     reject_dangerous_xml,
     unpacked,
 )
+from cosim.fmi.units import base_unit
 
 _MOST_NESTED = 8  # SSP files within each other
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
@@ -139,6 +143,35 @@ class Document:
     def fault(self, text: str, kind: type[CosimError] = UsageError) -> CosimError:
         """Return an error that names the file and the entry."""
         return kind(f"{self.package.name}: {self.entry}: {text}")
+
+    @cached_property
+    def units(self) -> dict[str, Unit]:
+        """The units that it defines, by name.
+
+        Raises:
+            UsageError: A definition is none.
+        """
+        found = dict[str, Unit]()
+        for unit in self.root.iterfind("Units/Unit"):
+            base = unit.find("BaseUnit")
+            try:
+                found |= {} if base is None else {unit.get("name", ""): base_unit(base.attrib)}
+            except ValueError as error:
+                reason = "has a factor, an offset or an exponent that defines no unit"
+                raise self.fault(f"unit '{unit.get('name')}' {reason}") from error
+        return found
+
+    def units_in(self, table: ET.Element) -> dict[str, Unit]:
+        """Return the units for a set or a dictionary in it, which may define its own."""
+        return self.units | replace(self, root=table).units
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Name the file and the entry in messages."""
+        try:
+            yield
+        except CosimError as error:
+            raise self.fault(str(error), type(error)) from error
 
     def find(self, source: str) -> tuple[str, str]:
         """Return the entry that a URI means, and its fragment.

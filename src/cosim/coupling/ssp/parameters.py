@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from xml.etree import ElementTree as ET
 
+from casadi_models.units import conversion
 from cosim.coupling.ssp.package import Document
+from cosim.errors import ParameterError
+from cosim.fmi.units import Measured
 from cosim.model.quantities import quantity
 
 _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
@@ -20,30 +23,43 @@ _TABLES = ("BooleanMappingTransformation", "IntegerMappingTransformation")
 
 @dataclass(frozen=True)
 class Value:
-    """A number for a variable: `factor` times the number in the variable's unit, plus `offset`.
+    """A value of a variable: `factor` times the number in the variable's unit, plus `offset`.
 
     Attributes:
-        number: As the parameter set has it.
-        unit: Its unit; None for that of the variable.
+        number: As the parameter set has it; the name of an item, of an enumeration.
+        unit: Its unit; without a name, that of the variable.
         factor, offset: Of a mapping's linear transformation.
         keeps_unit: Whether the unit is not converted.
     """
 
-    number: float
-    unit: str | None = None
+    number: float | str
+    unit: Measured
     factor: float = 1.0
     offset: float = 0.0
     keeps_unit: bool = False
 
-    def in_unit(self, name: str, unit: str | None) -> float:
-        """Return the number in a unit.
+    def in_unit(self, name: str, unit: Measured) -> float | str:
+        """Return the number in a unit; of an enumeration, the name of its item.
 
         Raises:
-            ParameterError: The units do not fit.
+            ParameterError: The units do not fit, or an item would be transformed.
         """
         number = self.number
-        if self.unit is not None and unit is not None and not self.keeps_unit:
-            number = quantity(name, f"{number!r} {self.unit}", unit)
+        if isinstance(number, str):
+            if (self.factor, self.offset) != (1.0, 0.0):
+                raise ParameterError(f"{name} = {number!r} is no number and cannot be transformed")
+            return number
+        if None in (self.unit.name, unit.name) or self.keeps_unit:
+            return self.factor * number + self.offset
+        if self.unit.definition is None or unit.definition is None:
+            number = quantity(name, f"{number!r} {self.unit.name}", str(unit.name))
+        else:
+            try:
+                scale, shift = conversion(self.unit.definition, unit.definition)
+            except ValueError as error:
+                reason = f"'{self.unit.name}' cannot be converted to '{unit.name}'"
+                raise ParameterError(f"{name} = {number!r}: {reason}, by definition") from error
+            number = scale * number + shift
         return self.factor * number + self.offset
 
 
@@ -126,6 +142,7 @@ def _content(
 
 
 def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, Value]]:
+    units = document.units_in(chosen)
     for parameter in chosen.iterfind("Parameters/Parameter"):
         name = parameter.get("name", "")
         for element in parameter:
@@ -134,15 +151,17 @@ def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, V
             if element.tag == "Dimension":
                 raise document.fault(f"{name} is an array; only numbers can be set here")
             number = _number(document, name, element)
-            yield name, Value(number, element.get("unit"))
+            yield name, Value(number, Measured.of(element.get("unit"), units))
 
 
-def _number(document: Document, name: str, element: ET.Element) -> float:
+def _number(document: Document, name: str, element: ET.Element) -> float | str:
     text = element.get("value", "")
     if element.tag in _REALS:
         return real(document, name, text)
     if element.tag in _INTEGERS and _INTEGER.fullmatch(text.strip()):
         return float(int(text)) if len(text) < 100 else real(document, name, "")
+    if element.tag == "Enumeration":
+        return text
     if element.tag == "Boolean" and text.strip() in _TRUTH:
         return _TRUTH[text.strip()]
     raise document.fault(
@@ -163,7 +182,7 @@ def _mapped(
         if entry.find("EnumerationMappingTransformation") is not None:
             raise document.fault(f"{where} maps enumerations, which cannot be read here")
         value = values[source]
-        if value.unit is not None and truth(
+        if value.unit.name is not None and truth(
             document, f"suppressUnitConversion of {where}", entry.get("suppressUnitConversion")
         ):
             value = replace(value, keeps_unit=True)
@@ -172,7 +191,9 @@ def _mapped(
         yield target, replace(value, number=number, factor=factor, offset=offset)
 
 
-def _looked_up(document: Document, where: str, entry: ET.Element, number: float) -> float:
+def _looked_up(
+    document: Document, where: str, entry: ET.Element, number: float | str
+) -> float | str:
     """Return what a table of a mapping gives for a number; the number where it has no row."""
     for kind in _TABLES:
         for row in entry.iterfind(f"{kind}/MapEntry"):

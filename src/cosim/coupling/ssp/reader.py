@@ -11,14 +11,16 @@ from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.couple import system_of
-from cosim.coupling.part import Part, Variable, part_of
+from cosim.coupling.part import Part, Variable, part_of, reject_types
 from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
 from cosim.coupling.ssp.parameters import Value, bound_values, real
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
-from cosim.coupling.system import System, change_of_named_units
+from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName
 from cosim.fmi.archive import naming_places
+from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.units import Measured
 
 
 def read_ssp(path: str | os.PathLike[str], *, variant: str | None = None) -> System:
@@ -133,11 +135,14 @@ class _System:
         """Return the connection that drives an input from another part."""
         source, sink, document = way.source, way.sink, way.steps[-1][1].document
         if not self._variable(sink).is_input:
-            raise document.fault(f"{sink} is no continuous input, so {source} cannot drive it")
+            raise document.fault(f"{sink} is no input, so {source} cannot drive it")
         if not self._variable(source).is_source:
-            raise document.fault(f"{source} is no continuous output, so it cannot drive {sink}")
+            raise document.fault(f"{source} is no output, so it cannot drive {sink}")
         unit = self._connections.unit(source)
-        change = self._connections.change(way.steps, unit, change_of_named_units)
+        change = self._connections.change(way.steps, unit)
+        ends = str(sink), self._variable(sink), str(source), self._variable(source)
+        with document.naming():
+            reject_types(*ends, changed=change != (1.0, 0.0))
         return Connection(self._key(sink), self._key(source), *change)
 
     def _start_value(self, way: Way) -> dict[tuple[str, str], float]:
@@ -147,21 +152,22 @@ class _System:
                 document, _ = self._values[node]
                 if not self._variable(way.sink).is_start:
                     raise document.fault(f"{way.sink} cannot be given; it is calculated")
-                return {self._key(way.sink): self._value(node, way.steps[number:])}
+                variable, value = self._variable(way.sink), self._value(node, way.steps[number:])
+                with document.naming():
+                    return {self._key(way.sink): typed_value(way.sink.place[-1], variable, value)}
         return {}
 
-    def _value(self, node: Node, steps: Steps) -> float:
+    def _value(self, node: Node, steps: Steps) -> float | str:
         """Return the value that the last connector of some steps gets from one with a value."""
         document, value = self._values[node]
         unit = self._connections.unit(node)
         if node.place in self._parts:
-            unit = self._variable(node).unit or unit
-        try:
+            own = self._variable(node).measured
+            unit = unit if own.name is None else own
+        with document.naming():
             number = value.in_unit(str(node), unit)
-        except CosimError as error:
-            raise document.fault(str(error), type(error)) from error
-        factor, offset = self._connections.change(steps, unit or value.unit, change_of_named_units)
-        return factor * number + offset
+        factor, offset = self._connections.change(steps, value.unit if unit.name is None else unit)
+        return number if isinstance(number, str) else factor * number + offset
 
     def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:
         """Return a connector of the whole system: what drives it, or what it drives."""
@@ -170,16 +176,16 @@ class _System:
         ends = tuple(
             End(
                 self._key(one.source if shown else one.sink),
-                *self._connections.change(
-                    one.steps, self._connections.unit(one.source), change_of_named_units
-                ),
+                *self._connections.change(one.steps, self._connections.unit(one.source)),
             )
             for one in shown or exposed
         )
         nodes = [node for one in (way, *exposed[:1]) for node in one.nodes]
         units = map(self._connections.unit, reversed(nodes) if shown else nodes)
-        unit = declared.unit or next(filter(None, units), None)
-        return Connector(name, unit, declared.role is not Role.OUT and not way.steps, ends)
+        unit = next((one for one in (declared.unit, *units) if one.name), declared.unit)
+        defined = {unit.name: unit.definition} if unit.name and unit.definition else {}
+        is_input = declared.role is not Role.OUT and not way.steps
+        return Connector(name, unit.name, is_input, ends, defined)
 
     def _assigned(self) -> dict[Node, tuple[Document, Value]]:
         """Return values by connector; those of a system replace those of its elements."""
@@ -216,9 +222,10 @@ def _declared(element: Element, part: Part) -> dict[str, Declared]:
     """Return the variables of an FMU as connectors."""
     found = dict[str, Declared]()
     for name, variable in part.variables.items():
-        written = element.connectors.get(name, Declared(Role.IN, None, name))
+        written = element.connectors.get(name, Declared(Role.IN, Measured(), name))
         role = Role.IN if variable.is_input else Role.OUT if variable.is_source else written.role
-        found[name] = Declared(role, variable.unit or written.unit, variable.name)
+        unit = written.unit if variable.unit is None else variable.measured
+        found[name] = Declared(role, unit, variable.name)
     return found
 
 

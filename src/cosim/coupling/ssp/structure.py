@@ -6,8 +6,10 @@ from enum import Enum, auto
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
+from casadi_models.units import Unit
 from cosim.coupling.ssp.package import Document
 from cosim.errors import FmuError
+from cosim.fmi.units import Measured
 
 Place = tuple[str, ...]  # names of the systems around an element, and its own
 
@@ -39,12 +41,12 @@ class Declared:
 
     Attributes:
         role: Its direction.
-        unit: None if it has none.
+        unit: What it is measured in.
         name: The one that counts, for a variable with several names.
     """
 
     role: Role
-    unit: str | None
+    unit: Measured
     name: str
 
 
@@ -53,7 +55,7 @@ class Dictionary:
     """A signal dictionary: where it is declared, and the units of its signals by name."""
 
     place: Place
-    signals: Mapping[str, str | None]
+    signals: Mapping[str, Measured]
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,13 +218,14 @@ def _connectors(element: ET.Element, here: _Context) -> dict[str, Declared]:
                 f"connector '{name}' of {here.called} is of kind '{kind}'; give one of "
                 f"{', '.join(_ROLES)}"
             )
-        found[name] = Declared(_ROLES[kind], _unit(connector), name)
+        found[name] = Declared(_ROLES[kind], _unit(connector, here.document.units), name)
     return found
 
 
-def _unit(element: ET.Element) -> str | None:
+def _unit(element: ET.Element, defined: Mapping[str, Unit]) -> Measured:
     """Return the unit of the type in a connector or a signal."""
-    return next((child.get("unit") for child in element if child.get("unit")), None)
+    names = (child.get("unit") for child in element if child.get("unit"))
+    return Measured.of(next(names, None), defined)
 
 
 def _dictionaries(system: ET.Element, here: _Context) -> dict[str, Dictionary]:
@@ -236,10 +239,14 @@ def _dictionaries(system: ET.Element, here: _Context) -> dict[str, Dictionary]:
         if declared.get("type", _DICTIONARY) != _DICTIONARY:
             raise document.fault(f"dictionary '{name}' is of type {declared.get('type')}")
         if source is None:
-            entries = declared.iterfind("SignalDictionary/DictionaryEntry")
+            tables = declared.findall("SignalDictionary")
         else:
-            entry, _ = document.find(source)
-            root = document.package.document(entry, "SignalDictionary").root
-            entries = root.iterfind("DictionaryEntry")
-        found[name] = Dictionary(here.place, {e.get("name", ""): _unit(e) for e in entries})
+            document = document.package.document(document.find(source)[0], "SignalDictionary")
+            tables = [document.root]
+        signals = {
+            entry.get("name", ""): _unit(entry, document.units_in(table))
+            for table in tables
+            for entry in table.iterfind("DictionaryEntry")
+        }
+        found[name] = Dictionary(here.place, signals)
     return found

@@ -10,6 +10,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.codegen.c_fields import fields
 from cosim.errors import FmuError
+from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.instance import getter_name, is_second
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
@@ -39,10 +40,6 @@ _FUNCTIONS = {
     "do_step_3": (None, "DoStep"),
     "get_boolean_status": ("GetBooleanStatus", None),
     "get_real_status": ("GetRealStatus", None),
-    "get_real": ("GetReal", None),
-    "set_real": ("SetReal", None),
-    "get_float64": (None, "GetFloat64"),
-    "set_float64": (None, "SetFloat64"),
     "set_input_derivatives": ("SetRealInputDerivatives", None),
     "output_derivatives_2": ("GetRealOutputDerivatives", None),
     "output_derivatives_3": (None, "GetOutputDerivatives"),
@@ -52,6 +49,7 @@ _FUNCTIONS = {
     "set_fmu_state": ("SetFMUstate", "SetFMUState"),
     "free_fmu_state": ("FreeFMUstate", "FreeFMUState"),
 }
+_NO_COLUMN = -1  # of an element that is not recorded
 
 
 def _kind(getter: str, second: bool) -> str:
@@ -112,30 +110,33 @@ class Recorded:
         for place, variable in enumerate(variables):
             found.setdefault(getter_name(variable, description), []).append(place)
         self._held: list[Any] = []
-        groups = [
-            self._group(instance, getter, [variables[i].valueReference for i in places], second)
-            for getter, places in found.items()
-        ]
+        layouts = {
+            getter: Layout.of([variables[i] for i in places]) for getter, places in found.items()
+        }
+        groups = [self._group(instance, *item, second) for item in layouts.items()]
         self._groups = (_Group * len(groups))(*groups)
-        self._columns = np.concatenate([[], *found.values()]).astype(np.int64)
+        columns = [np.full(layout.values, _NO_COLUMN) for layout in layouts.values()]
+        for own, places, layout in zip(columns, found.values(), layouts.values(), strict=True):
+            own[layout.places] = places
+        self._columns = np.concatenate([[], *columns]).astype(np.int64)
         self.structure = Recording(
             len(groups), len(variables), self._groups, self._columns.ctypes.data
         )
 
-    def _group(self, instance: Any, getter: str, references: list[int], second: bool) -> _Group:
+    def _group(self, instance: Any, getter: str, layout: Layout, second: bool) -> _Group:
         kind = _kind(getter, second)
-        name = f"fmi{2 if second else 3}Get{getter}"
-        addresses = (ctypes.c_uint32 * len(references))(*references)
-        buffer = (KINDS[kind] * len(references))()
+        names = [f"fmi{2 if second else 3}{verb}{getter}" for verb in ("Get", "Set")]
+        addresses = (ctypes.c_uint32 * len(layout.references))(*layout.references)
+        buffer = (KINDS[kind] * layout.values)()
         self._held += [addresses, buffer]
-        address = _address(instance, name)
+        functions = [address for n in names for address in _of_version(instance, n, second)]
         return _Group(
             list(KINDS).index(kind),
-            len(references),
+            len(layout.references),
+            layout.values,
             ctypes.addressof(addresses),
-            address if second else None,
-            None if second else address,
-            name.encode(),
+            *functions,
+            *(name.encode() for name in names),
             ctypes.addressof(buffer),
         )
 
@@ -152,16 +153,21 @@ class Calls:
             if (name := names[version - 2]) is not None
         }
         self.functions = Functions(version=version, instance=instance.component, **found)
-        self._recorded: dict[tuple[int, ...], Recorded] = {}
+        self._recorded: dict[tuple[Any, ...], Recorded] = {}
 
     def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:
         """Return what records variables into rows, (times, variables)."""
-        key = tuple(map(id, variables))  # which live as long as their description
+        key = tuple(variables)
         if key not in self._recorded:
             self._recorded = {key: Recorded(self._instance, self._description, variables)}
         structure = self._recorded[key].structure
         structure.rows = rows.ctypes.data
         return structure
+
+
+def _of_version(instance: Any, name: str, second: bool) -> tuple[int | None, int | None]:
+    address = _address(instance, name)
+    return (address, None) if second else (None, address)
 
 
 def _address(instance: Any, name: str) -> int | None:

@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 
 from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.archive import DESCRIPTION, flat_names
+from cosim.fmi.run.arrays import Access, Element
 from cosim.host.temporary import loads_no_library
 from cosim.text import sentence
 
@@ -28,6 +29,7 @@ class Interface(StrEnum):
 
 INTERFACES = tuple(Interface)
 NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
+REALS = ("Real", "Float64", "Float32")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words
@@ -86,12 +88,28 @@ def begin_initialization(
         settable_in_instantiated,
     )
 
-    left, second = dict(values), is_second(description)
+    known, second = by_name(description), is_second(description)
+    kinds: dict[str, dict[str, Any]] = {"element": {}, "structuralParameter": {}, "": {}}
+    for name, value in values.items():
+        kind = "element" if isinstance(known[name], Element) else known[name].causality
+        kinds[kind if kind in kinds else ""][name] = value
+    elements, structural, left = kinds.values()
+    if structural:
+        try:
+            instance.enterConfigurationMode()
+            apply_start_values(instance, description, structural)
+            instance.exitConfigurationMode()
+        except Exception as error:
+            sizes = ", ".join(f"{name} = {value}" for name, value in structural.items())
+            raise FmuError(f"the FMU rejects {sizes} in configuration mode") from error
     if second:
         instance.setupExperiment(**experiment)
     left = apply_start_values(instance, description, left, settable=settable_in_instantiated)
     instance.enterInitializationMode(**{} if second else experiment)
     apply_start_values(instance, description, left, settable=settable_in_initialization_mode)
+    if elements:
+        variables = [known[name] for name in elements]
+        access_to(variables, instance, description).set([*elements.values()])
 
 
 def update_discrete_states(instance: Any) -> tuple[bool, float]:
@@ -416,6 +434,11 @@ def getter_name(variable: Any, description: Any) -> str:
     if variable.type == "Enumeration":
         return "Integer" if is_second(description) else "Int64"
     return str(variable.type)
+
+
+def access_to(variables: Sequence[Any], instance: Any, description: Any) -> Access:
+    """Return what gets and sets variables of an instance."""
+    return Access(instance, [getter_name(v, description) for v in variables], variables)
 
 
 def is_number(variable: Any) -> bool:

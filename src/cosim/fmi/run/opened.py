@@ -18,6 +18,7 @@ from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
+from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
 from cosim.fmi.run.instance import (
     Interface,
@@ -51,7 +52,7 @@ class OpenedFmu:
         self.path = path
         with ExitStack() as opening:
             self._folder = opening.enter_context(unpacked(path))
-            self.description = read_description(self._folder, path)
+            self.description = with_elements(read_description(self._folder, path))
             self.interface = choose_interface(self._folder, self.description, interface, path)
             self._open = opening.pop_all()  # which stays open, as nothing has failed
         self.reset_is_enough = True  # before another run; otherwise a new instance is made
@@ -115,7 +116,7 @@ class OpenedFmu:
         if master is Master.FMPY:
             return run_in_python(instance, request)
         if self._master is None:
-            self._master = CompiledMaster(instance, self.description, self.interface)
+            self._master = CompiledMaster(instance, self.description)
         return self._master.run(request)
 
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
@@ -176,14 +177,8 @@ class CompiledMaster:
         MissingTool: There is no compiler.
     """
 
-    def __init__(self, instance: Any, description: Any, interface: Interface) -> None:
-        self._instance, self._description = instance, description
-        self._exchange = exchange = interface is Interface.MODEL_EXCHANGE
-        self._library = _library(
-            description.numberOfContinuousStates if exchange else 0,
-            description.numberOfEventIndicators if exchange else 0,
-            exchange,
-        )
+    def __init__(self, instance: Any, description: Any) -> None:
+        self._instance = instance
         self._calls = Calls(instance, description)
 
     def run(self, request: FmuRequest) -> MasterRun:
@@ -192,7 +187,13 @@ class CompiledMaster:
         Raises:
             FmuError: A call failed, or the FMU stopped without ending the run.
         """
-        instance, description, exchange = self._instance, self._description, self._exchange
+        instance, description = self._instance, request.description
+        exchange = request.interface is Interface.MODEL_EXCHANGE
+        library = _library(
+            description.numberOfContinuousStates if exchange else 0,
+            description.numberOfEventIndicators if exchange else 0,
+            exchange,
+        )
         initialize(instance, description, request.values, **request.experiment)
         points = request.points
         rows = np.empty((len(points), len(request.recorded)))
@@ -208,8 +209,8 @@ class CompiledMaster:
             any_step=exchange or description.coSimulation.canHandleVariableCommunicationStepSize,
         )
         nominals = _prepare_exchange(run, instance, request) if exchange else None
-        with interruptible(self._library) as interrupts:
-            self._library.run_fmu(ctypes.byref(run))
+        with interruptible(library) as interrupts:
+            library.run_fmu(ctypes.byref(run))
         del nominals
         reject_failure(run, interrupts, request.stop)
         instance.terminate()

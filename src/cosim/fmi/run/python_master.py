@@ -21,8 +21,8 @@ from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.fmi.run.instance import (
     Interface,
+    access_to,
     enter_continuous_time,
-    getter_name,
     initialize,
     update_discrete_states,
 )
@@ -64,18 +64,7 @@ class _Recorder:
     """Records the outputs of a request at its communication points."""
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
-        kinds: dict[str, list[int]] = {}
-        for column, variable in enumerate(request.recorded):
-            kinds.setdefault(getter_name(variable, request.description), []).append(column)
-        self._groups = [
-            (
-                getattr(instance, f"get{kind}"),
-                [request.recorded[column].valueReference for column in columns],
-                columns,
-                bool if kind == "Boolean" else float,
-            )
-            for kind, columns in kinds.items()
-        ]
+        self._get = access_to(request.recorded, instance, request.description).get
         self.times = np.empty(len(request.points))
         self.rows = np.empty((len(request.points), len(request.recorded)))
         self._count = 0
@@ -83,9 +72,7 @@ class _Recorder:
     def record(self, time: float) -> None:
         """Write the next row."""
         self.times[self._count] = time
-        row = self.rows[self._count]
-        for getter, references, columns, kind in self._groups:
-            row[columns] = np.array(getter(references), dtype=kind)
+        self.rows[self._count] = self._get()
         self._count += 1
 
     @property
@@ -210,7 +197,7 @@ class _Clock:
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._set_time, self._series = instance.setTime, request.inputs
-        self._set_real, self._references = instance.setFloat64, request.input_references
+        self._set_inputs = access_to(request.followers, instance, request.description).set
         self._events = _sample_times(self._series, request).tolist() if self._series else []
         self._piece = self._series and _after(self._series, request.start)
 
@@ -222,7 +209,7 @@ class _Clock:
     def set_inputs(self, time: float) -> None:
         """Set the inputs."""
         if self._piece is not None:
-            self._set_real(self._references, _values(self._piece, time))
+            self._set_inputs(_values(self._piece, time))
 
     def apply(self, time: float) -> None:
         """Do nothing: fmpy's solver calls it after `set`, which has set the inputs."""
@@ -288,16 +275,16 @@ def _step_with_inputs(
     in the step; of first order if inputs jump within the step of an FMU whose steps have one size.
     """
     abilities, references = request.description.coSimulation, request.input_references
+    set_inputs = access_to(request.followers, instance, request.description).set
     any_step = abilities.canHandleVariableCommunicationStepSize
     samples = _sample_times(series, request)
-    set_real = instance.setFloat64
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
     slopes = set_slopes if abilities.canInterpolateInputs else None
     failures: list[Exception] = []  # of answers: ctypes drops what a callback raises
 
     def answer(piece: InputSeries, time: float) -> None:
         try:
-            set_real(references, _values(piece, time))
+            set_inputs(_values(piece, time))
         except Exception as error:
             failures.append(error)
 
@@ -307,7 +294,7 @@ def _step_with_inputs(
         for a, b in pairwise([begin, *inner.tolist(), end]):
             piece = series.around((a + b) / 2)
             first, middle, last = piece.at(np.array([a, (a + b) / 2, b])).T
-            set_real(references, (first if slopes else middle).tolist())
+            set_inputs((first if slopes else middle).tolist())
             if slopes:
                 slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
             instance.answer = partial(answer, piece)
@@ -318,7 +305,7 @@ def _step_with_inputs(
                 return reached, ends
         following = _after(series, end)
         if not slopes or following is not piece:
-            set_real(references, _values(following, end))
+            set_inputs(_values(following, end))
         return reached, ends
 
     return driven

@@ -1,7 +1,6 @@
 """`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -10,14 +9,21 @@ import numpy as np
 
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.fmi.run.instance import Interface, by_name, is_number, may_be_set, unit_of
-from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.run.arrays import Layout, elements_of, with_elements
+from cosim.fmi.run.instance import (
+    Interface,
+    by_name,
+    is_number,
+    may_be_set,
+    unit_of,
+)
+from cosim.fmi.run.typed_values import start_number, typed_value
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.inputs import InputSeries
 from cosim.model.times import one_time, reject_backward, time_grid
 from cosim.model.values import listed, number
-from cosim.trajectory import Column
+from cosim.trajectory import Column, Trajectory
 
 DEFAULT_TOLERANCE = 1e-5  # of model exchange if neither user nor FMU gives one, as in fmpy
 MOST_POINTS = 10_000_000  # output times of a run
@@ -77,10 +83,12 @@ class FmuRequest:
         outputs: Sequence[str] | None = None,
     ) -> "FmuRequest":
         """Check the keywords of `simulate_fmu`."""
-        variables = by_name(description)
         start, stop, interval = _times(name, description, start_time, stop_time, output_interval)
         tolerance = _tolerance(name, description, relative_tolerance)
-        values = checked_values(name, variables, {} if start_values is None else start_values)
+        description, values = resized(
+            name, description, {} if start_values is None else start_values
+        )
+        variables = by_name(description)
         recorded = tuple(variables[output] for output in output_names(name, variables, outputs))
         series = None
         if inputs is not None:
@@ -123,11 +131,15 @@ class FmuRequest:
         return facts
 
     @property
+    def followers(self) -> list[Any]:
+        """The inputs that follow a series."""
+        names = self.inputs.names if self.inputs else ()
+        return [by_name(self.description)[name] for name in names]
+
+    @property
     def input_references(self) -> list[int]:
         """The value references of the inputs that follow a series."""
-        names = self.inputs.names if self.inputs else ()
-        variables = by_name(self.description) if names else {}
-        return [variables[name].valueReference for name in names]
+        return Layout.of(self.followers).references
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -194,6 +206,21 @@ def _tolerance(name: object, description: Any, relative: float | None) -> float 
     return float(relative)
 
 
+def resized(
+    name: object, description: Any, values: Mapping[str, float]
+) -> tuple[Any, dict[str, float]]:
+    """Return a description with arrays as large as structural parameters make them, and the values.
+
+    Raises: See `checked_values`.
+    """
+    variables = by_name(description)
+    given = values if isinstance(values, Mapping) else {}
+    structural = {n for n, v in variables.items() if v.causality == "structuralParameter"}
+    sizes = checked_values(name, variables, {n: given[n] for n in structural & set(given)})
+    description = with_elements(description, sizes)
+    return description, checked_values(name, by_name(description), values)
+
+
 def checked_values(
     name: object, variables: Mapping[str, Any], values: Mapping[str, float]
 ) -> dict[str, float]:
@@ -209,16 +236,10 @@ def checked_values(
         if variable not in variables:
             settable = [v.name for v in variables.values() if _is_settable(v)]
             raise UnknownName.among(str(name), "start value", variable, settable)
-        if variables[variable].causality == "structuralParameter":
-            raise UsageError(
-                f"{name}: {variable} is a structural parameter, which changes the sizes of arrays; "
-                "it cannot be set here, leave it at its start value"
-            )
         if not is_number(variables[variable]):
-            kind = "an array" if variables[variable].dimensions else f"a {variables[variable].type}"
             raise UsageError(
-                f"{name}: {variable} is {kind}; only single numbers, Booleans and items of "
-                "enumerations can be set"
+                f"{name}: {variable} is {_kind_of(variables[variable])}; only numbers, Booleans "
+                "and items of enumerations can be set"
             )
         if not _is_settable(variables[variable]):
             raise UsageError(f"{name}: {variable} cannot be set; it is calculated")
@@ -226,6 +247,14 @@ def checked_values(
         variables[key].name: typed_value(str(name), variables[key], value)
         for key, value in values.items()
     }
+
+
+def _kind_of(variable: Any) -> str:
+    """Return what a variable is that is not a single number, with what to do."""
+    if not variable.dimensions:
+        return f"a {variable.type}"
+    first = ",".join("1" * len(variable.dimensions))
+    return f"an array; name its elements, such as {variable.name}[{first}]"
 
 
 def _is_settable(variable: Any) -> bool:
@@ -237,6 +266,8 @@ def output_names(
 ) -> list[str]:
     """Return the names of the variables to record, each once; by default the FMU's outputs.
 
+    The name of an array stands for its elements.
+
     Raises:
         UnknownName, UsageError: A variable does not exist or is not one number.
     """
@@ -245,17 +276,20 @@ def output_names(
         found = [n for n in own if is_number(variables[n])]
         if own and not found:
             raise UsageError(
-                f"{name}: none of its outputs ({', '.join(own)}) is a single number, so nothing "
+                f"{name}: none of its outputs ({', '.join(own)}) is a number, so nothing "
                 "can be recorded; name other variables with outputs"
             )
         return found
-    requested = listed(f"{name}: outputs", outputs)
-    for output in requested:
+    found = []
+    for output in listed(f"{name}: outputs", outputs):
         if output not in variables:
             raise UnknownName.among(str(name), "output", output, variables)
-        if not is_number(variables[output]):
+        one = variables[output]
+        numbers = elements_of(one, variables.values()) if one.dimensions else [one]
+        if not numbers or not is_number(numbers[0]):
             raise UsageError(f"{name}: {output} is not a single number and cannot be recorded")
-    return list(dict.fromkeys(variables[output].name for output in requested))
+        found += (number.name for number in numbers)
+    return list(dict.fromkeys(found))
 
 
 def _check_series(
@@ -267,13 +301,25 @@ def _check_series(
         if variable not in known:
             raise UnknownName.among(str(name), "input", variable, known)
         if known[variable].type not in _CONTINUOUS or known[variable].dimensions:
-            kind = "array" if known[variable].dimensions else known[variable].type
             raise UsageError(
-                f"{name}: {variable} is of type {kind}, and only real inputs follow time series; "
-                "give it a constant value"
+                f"{name}: {variable} is {_kind_of(known[variable])}; only real inputs follow time "
+                "series, others take constant values"
             )
         if variable in values:
             raise UsageError(f"{name}: {variable} is given a value and a series; give one of them")
+
+
+def rounding(variables: Sequence[Any], run: Trajectory) -> str:
+    """Return which integers of a run are too large for its numbers; the empty text if none are.
+
+    Args:
+        variables: fmpy's, of the columns.
+        run: The run.
+    """
+    large = np.abs(run.values).max(axis=0, initial=0.0) >= 2.0**53
+    names = [n for n, v, is_large in zip(run.names, variables, large, strict=True)
+             if is_large and v.type in ("Int64", "UInt64")]  # fmt: skip
+    return f"{', '.join(names)}: integers from 2^53 on may be rounded in results" if names else ""
 
 
 @lru_cache(1024)
@@ -304,7 +350,7 @@ def _own_numbers(description: Any) -> Mapping[str, float]:
     """Return the start values of the parameters and inputs by name."""
     found: dict[str, float] = {}
     for variable in description.modelVariables:
-        if variable.causality in ("parameter", "input") and is_number(variable):
-            with suppress(TypeError, ValueError):  # no start value, an array, or "true"
-                found[variable.name] = float(variable.start)
+        own = variable.causality in ("parameter", "input") and is_number(variable)
+        if own and variable.start:  # one that the file tells
+            found[variable.name] = start_number(variable)
     return found

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.errors import UsageError
 from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
-from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest
+from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, rounding
 from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
@@ -38,12 +38,14 @@ def simulate_fmu(
         start_time, stop_time, output_interval: s; the FMU's default experiment when None. The
             last output is at `stop_time` in any case.
         relative_tolerance: Error per step; the FMU's default experiment when None.
-        start_values: Start values, parameters and constant inputs by name, in the FMU's units.
+        start_values: Start values, parameters and constant inputs by name, in the FMU's units;
+            elements of arrays have the names `u[1]` or `A[1,2]`.
         inputs: What `read_inputs` returns; or by name a number, a formula of time ("2*sin(3*t)"),
             a function of time, samples at the output times (n,), or an `InputSeries`; in the FMU's
             units. Within a step of an FMU that integrates itself, inputs are constant, linear
             or cubic.
-        outputs: Names to record; the FMU's outputs when None.
+        outputs: Names to record; the FMU's outputs when None. That of an array stands for its
+            elements.
         master: What drives the FMU. "fmpy" is a loop in Python over fmpy's objects with CVODE,
             which takes more than fmpy's 500 steps between two outputs if it has to
             (`stats["note"]` reports it). "c" is compiled code, 10 to 100 times as fast: one call
@@ -89,7 +91,13 @@ def simulate_fmu(
         )
         run = fmu.run(request, master)
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
-    note = "; ".join(filter(None, (run.stats.get("note"), gaps, _small_states(request, run))))
+    notes = (
+        run.stats.get("note"),
+        gaps,
+        _small_states(request, run),
+        rounding(request.recorded, run),
+    )
+    note = "; ".join(filter(None, notes))
     stats = {**run.stats, "wall_time": perf_counter() - began}
     return replace(run, stats=stats | {"note": note} if note else stats)
 

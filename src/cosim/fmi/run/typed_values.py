@@ -6,11 +6,16 @@ from cosim.errors import ParameterError
 from cosim.model.values import number
 
 _WORDS = {"true": True, "false": False, "0": False, "1": True}
-_RANGES = {"Integer": (-(2**31), 2**31 - 1)}
+RANGES = {"Integer": (-(2**31), 2**31 - 1)}
 for _bits in (8, 16, 32, 64):
-    _RANGES[f"Int{_bits}"] = (-(2 ** (_bits - 1)), 2 ** (_bits - 1) - 1)
-    _RANGES[f"UInt{_bits}"] = (0, 2**_bits - 1)
+    RANGES[f"Int{_bits}"] = (-(2 ** (_bits - 1)), 2 ** (_bits - 1) - 1)
+    RANGES[f"UInt{_bits}"] = (0, 2**_bits - 1)
 _LARGEST_FLOAT32 = 3.4028234663852886e38
+
+
+def start_number(variable: Any) -> float:
+    """Return the start value of a variable of fmpy's that is a number; 0 if it has none."""
+    return float(_WORDS.get(variable.start, variable.start or 0.0))
 
 
 def typed_value(owner: str, variable: Any, value: Any) -> Any:
@@ -44,8 +49,8 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
             f"{owner}: {name} = {value!r} is not a real number; give a number in the FMU's own "
             "unit, and no unit"
         )
-    if kind in _RANGES:
-        low, high = _RANGES[kind]
+    if kind in RANGES:
+        low, high = RANGES[kind]
         plain = number(owner, name, value)
         whole = value if isinstance(value, int) else int(plain)
         if whole != value or not low <= whole <= high:

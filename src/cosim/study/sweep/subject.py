@@ -171,6 +171,12 @@ class FmuSubject:
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and the settings; return the method of the runs as text."""
         variables = by_name(self._fmu.description)
+        for name in names:
+            if name in variables and variables[name].causality == "structuralParameter":
+                raise UsageError(
+                    f"{self._fmu.path}: {name} changes the sizes of arrays, which all runs of a "
+                    "sweep share; leave it out"
+                )
         items = {n: v.declaredType.items for n, v in variables.items() if v.type == "Enumeration"}
         values = {n: float(items[n][0].value) if items.get(n) else 0.0 for n in names}
         self._fmu.request(start_values=values)

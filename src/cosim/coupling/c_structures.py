@@ -1,0 +1,33 @@
+"""The C structures of fmu/master/coupling.h, and the compiled master."""
+
+import ctypes
+
+from cosim.codegen.c_fields import fields
+from cosim.codegen.c_sources import master_source
+from cosim.codegen.compiler import cached_library
+from cosim.fmi.run.c_structures import Functions, Recording
+from cosim.memo import cached_per_thread
+
+_ROWS = dict.fromkeys(("recording", "given", "shown"), ctypes.POINTER(Recording))
+
+
+class PartOfC(ctypes.Structure):
+    """`Part` in fmu/master/part.h."""
+
+    _fields_ = fields("master/part.h", "Part", call=ctypes.POINTER(Functions), **_ROWS)
+
+
+class SystemOfC(ctypes.Structure):
+    """`System` in fmu/master/interface.h."""
+
+    _fields_ = fields("master/interface.h", "System", parts=ctypes.POINTER(PartOfC))
+
+
+@cached_per_thread(1)
+def coupling_library() -> ctypes.CDLL:
+    """Return the library with `settle_coupled`, `run_coupled` and `give_inputs`."""
+    text = master_source("coupling.h")
+    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
+    for call in (library.settle_coupled, library.run_coupled):
+        call.argtypes, call.restype = [ctypes.POINTER(SystemOfC)], None
+    return library

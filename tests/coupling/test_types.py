@@ -1,0 +1,187 @@
+"""Connections of Boolean, integer and enumeration variables, and of elements of arrays."""
+
+import zipfile
+
+import pytest
+from helpers.typed_part import typed_part
+
+import cosim
+from cosim.errors import ParameterError, UsageError
+
+METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def part(request, tmp_path_factory):
+    return typed_part(tmp_path_factory.mktemp("typed"), request.param)
+
+
+@pytest.fixture(scope="module")
+def part_3(tmp_path_factory):
+    return typed_part(tmp_path_factory.mktemp("typed"))
+
+
+def changed(path, target, old, new):
+    """Write an archive with another text for one in it."""
+    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(target, "w") as other:
+        for entry in archive.namelist():
+            other.writestr(entry, archive.read(entry).replace(old.encode(), new.encode()))
+    return target
+
+
+def chain(path, **options):
+    wires = {"b.on_in": "a.on", "b.count_in": "a.count", "b.mode_in": "a.mode"}
+    values = {"a.on_in": True, "a.count_in": -2147483648, "a.mode_in": "fast"}
+    return cosim.couple({"a": path, "b": path}, wires, start_values=values, **options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_values_of_every_type_pass_without_change(method, part):
+    final = chain(part).simulate(method=method, macro_step=0.1).final
+    assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [1, -2147483648, 3]
+    assert [final[f"b.{name}_in"] for name in ("on", "count", "mode")] == [1, -2147483648, 3]
+
+
+def test_texts_of_a_command_line_are_values_of_their_type(part):
+    texts = {"a.on_in": "false", "a.count_in": "2147483647", "a.mode_in": "slow"}
+    final = chain(part).simulate(macro_step=0.5, start_values=texts).final
+    assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [0, 2147483647, 1]
+
+
+@pytest.mark.parametrize("method", ["extrapolated", "iterated"])
+def test_switch_of_a_boolean_is_located(method, part):
+    """x' = 1 switches `above` at 0.5 s, which the next part passes on."""
+    drive = "a.u" if "typed_2" in part.name else "a.u[1]"
+    system = cosim.couple({"a": part, "b": part}, {"b.on_in": "a.above"}, start_values={drive: 1.0})
+    run = system.simulate(method=method, accuracy=1e-6, stop_time=0.9, output_interval=0.3)
+    assert run["a.above"].tolist() == run["b.on"].tolist() == [0, 0, 1, 1]
+    assert 10 < run.stats["rejected_steps"] < 30  # to 1e-9 of the span; measured 13
+
+
+def test_integers_and_enumerations_drive_each_other(part):
+    wires = {"b.mode_in": "a.count", "b.count_in": "a.mode"}
+    values = {"a.count_in": 3, "a.mode_in": "slow"}
+    system = cosim.couple({"a": part, "b": part}, wires, start_values=values)
+    final = system.simulate(macro_step=0.5, stop_time=1.0).final
+    assert (final["b.mode"], final["b.count"]) == (3, 1)
+
+
+def test_integer_drives_a_real_input_as_it_is(part):
+    model = cosim.Model("integral")
+    rate = model.input("rate", "1", 0.0, "rate")
+    model.derivative(model.state("x", "1", 0.0, "integral"), rate)
+    parts = {"a": part, "b": model.freeze()}
+    system = cosim.couple(parts, {"b.rate": "a.count"}, start_values={"a.count_in": 3})
+    assert system.simulate(accuracy=1e-8, stop_time=1.0).final["b.x"] == pytest.approx(
+        3.0, abs=1e-8
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_elements_of_arrays_are_connected_and_the_others_stay(method, part_3):
+    """a: x1' = 1; b: x1' = 5, x2' = x1 of a."""
+    values = {"a.u[1]": 1.0, "b.u[1]": 5.0}
+    system = cosim.couple({"a": part_3, "b": part_3}, {"b.u[2]": "a.y[1]"}, start_values=values)
+    step = 0.001 if method in METHODS[:2] else 0.1
+    final = system.simulate(method=method, macro_step=step, stop_time=1.0).final
+    assert final["b.y[1]"] == pytest.approx(5.0, rel=1e-9)
+    assert final["b.y[2]"] == pytest.approx(0.5, rel=2e-3 if step < 0.1 else 1e-9)
+
+
+def test_float32_drives_float32_and_float64(part_3):
+    wires = {"b.level_in": "a.level", "b.u[1]": "a.level"}
+    system = cosim.couple({"a": part_3, "b": part_3}, wires, start_values={"a.level_in": 0.1})
+    final = system.simulate(accuracy=1e-8, stop_time=1.0).final
+    assert final["b.level"] == pytest.approx(0.1, rel=1e-7)
+    assert final["b.y[1]"] == pytest.approx(0.1, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("sink", "source", "reason"),
+    [
+        ("b.count_in", "a.y[1]", r"a.y\[1\] \(Float64\) cannot drive b.count_in \(Int32\)"),
+        ("b.count_in", "a.level", r"a.level \(Float32\) cannot drive b.count_in \(Int32\)"),
+        ("b.count_in", "a.on", r"a.on \(Boolean\) cannot drive b.count_in \(Int32\)"),
+        ("b.on_in", "a.count", r"a.count \(Int32\) cannot drive b.on_in \(Boolean\)"),
+        ("b.u[1]", "a.on", r"a.on \(Boolean\) cannot drive b.u\[1\] \(Float64\)"),
+        ("b.mode_in", "a.on", r"cannot drive b.mode_in \(Enumeration\)"),
+        ("b.u", "a.y", r"b.u is an array; connect its elements, such as b.u\[1\]"),
+        ("b.u[1]", "a.y", r"a.y is an array"),
+    ],
+)
+def test_connection_that_would_change_values_is_rejected(sink, source, reason, part_3):
+    with pytest.raises(UsageError, match=reason):
+        cosim.couple({"a": part_3, "b": part_3}, {sink: source})
+
+
+def test_enumerations_with_other_items_are_not_connected(part_3, tmp_path):
+    other = changed(part_3, tmp_path / "other.fmu", '"fast" value="3"', '"fast" value="2"')
+    with pytest.raises(UsageError, match="with other items"):
+        cosim.couple({"a": part_3, "b": other}, {"b.mode_in": "a.mode"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("a.count_in", 3.7, "count_in = 3.7 is no Int"),
+        ("a.count_in", "3000000000", "count_in = 3000000000 is no Int"),
+        ("a.on_in", 2, "on_in = 2 is no Boolean"),
+        ("a.mode_in", 2, r"mode_in = 2 is no item of it; give one of slow \(1\), fast \(3\)"),
+    ],
+)
+def test_value_that_a_type_does_not_have_is_rejected(name, value, reason, part):
+    with pytest.raises(ParameterError, match=reason):
+        cosim.couple({"a": part}, {}, start_values={name: value})
+
+
+def test_integers_that_results_cannot_hold_are_named(part_3, tmp_path):
+    large = changed(part_3, tmp_path / "large.fmu", "<Enumeration ", "<Int64 ")
+    path = changed(large, tmp_path / "own.fmu", ' declaredType="Speed"', "")
+    for value, noted in ((2**53 - 1, False), (2**53 + 1, True)):
+        alone = cosim.simulate_fmu(path, start_values={"mode_in": value}, outputs=["mode", "y"])
+        parts = cosim.couple({"a": path}, {}, start_values={"a.mode_in": value})
+        coupled = parts.simulate(macro_step=0.5, stop_time=0.5)
+        for run, name in ((alone, "mode"), (coupled, "a.mode")):
+            words = f"{name}: integers from 2^53 on may be rounded in results"
+            assert (words in run.stats.get("note", "")) is noted
+
+
+def test_name_of_an_array_records_its_elements(part_3):
+    run = cosim.couple({"a": part_3}, {}, start_values={"a.u[2]": 1.0}).simulate(
+        macro_step=0.5, stop_time=1.0, outputs=["a.y", "a.on"]
+    )
+    assert run.final == pytest.approx({"a.y[1]": 0.0, "a.y[2]": 1.0, "a.on": 0.0})
+
+
+def test_structural_parameter_of_a_part_stays(part_3):
+    with pytest.raises(UsageError, match=r"a\.n cannot be given"):
+        cosim.couple({"a": part_3}, {}, start_values={"a.n": 3})
+
+
+def test_ssp_file_keeps_values_of_every_type(part, tmp_path):
+    path = chain(part, stop_time=0.5).write_ssp(tmp_path / "typed.ssp")
+    with zipfile.ZipFile(path) as archive:
+        text = archive.read("SystemStructure.ssd").decode()
+    assert all(one in text for one in ('Boolean value="true"', 'Enumeration value="fast"'))
+    assert 'Integer value="-2147483648"' in text
+    final = cosim.read_ssp(path).simulate(macro_step=0.1).final
+    assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [1, -2147483648, 3]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ('Integer value="-2147483648"', 'Real value="3.7"', "count_in = 3.7 is no Int"),
+        ('value="fast"', 'value="quick"', "mode_in = quick is no item of it"),
+        (
+            'startConnector="on"',
+            'startConnector="count"',
+            r"a.count \(.*\) cannot drive b.on",
+        ),
+    ],
+)
+def test_ssp_file_with_another_type_is_rejected(old, new, reason, part, tmp_path):
+    path = chain(part).write_ssp(tmp_path / "typed.ssp")
+    other = changed(path, tmp_path / "changed.ssp", old, new)
+    with pytest.raises(cosim.CosimError, match=rf"changed.ssp: SystemStructure.ssd: .*{reason}"):
+        cosim.read_ssp(other)
