@@ -28,7 +28,6 @@ from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import assign, numbers_of
-from cosim.text import INVALID
 from cosim.trajectory import Trajectory
 
 
@@ -191,7 +190,8 @@ def one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
                 states[number], reasons[number] = RunState.FAILED, str(error)
                 continue
             found, reasons[number] = cast(Trajectory, error.partial), error.partial.status
-            stopped = INVALID in error.partial.status
+            stops = request.policy.on_invalid is OnInvalid.STOP
+            stopped = stops and "invalid" in found.stats
             states[number] = RunState.STOPPED if stopped else RunState.FAILED
         except Interrupted as error:
             found, interrupted = cast(Trajectory, error.partial), True

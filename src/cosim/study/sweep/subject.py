@@ -210,7 +210,9 @@ class FmuSubject:
             else:
                 if len(run) == len(time) or "stop" in run.stats:
                     states[i], found[i] = RunState.COMPLETE, run
-                    if "note" in run.stats:
+                    if "invalid" in run.stats:
+                        notes[i] = run.stats["invalid"][0]
+                    elif "note" in run.stats:
                         notes[i] = run.stats["note"]
                 else:
                     reasons[i] = f"it recorded {len(run)} of {len(time)} output times"
