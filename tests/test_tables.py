@@ -1,8 +1,10 @@
 """Rows as text: aligned, cut to a width, counted beyond a number of lines."""
 
+import pickle
+
 import pytest
 
-from cosim.text import html_table, invalid_from, text_table, violation
+from cosim.text import Violation, html_table, short_reason, text_table, violated
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},
@@ -42,26 +44,22 @@ def test_html_says_the_same_and_escapes():
     assert "<caption>who &lt; what</caption>" in table
 
 
-@pytest.mark.parametrize(
-    ("reason", "expected"),
-    [
-        ("invalid from 1.5 s: the wheel lifts", "the wheel lifts"),
-        ("invalid from 0.5 s: not fulfilled: x < 2", "not fulfilled: x < 2"),
-        ("from 0.5 s on the step is too large", "the step is too large"),
-        ("the step failed", "the step failed"),
-    ],
-)
-def test_violation_is_named_in_a_few_words(reason, expected):
-    assert violation(reason) == expected
+def test_violation_is_a_text_that_knows_its_parts():
+    own = Violation(1.23456789, "the wheel lifts")
+    assert own == "invalid from 1.23457 s: the wheel lifts"
+    assert short_reason(own) == "invalid from 1.23 s: the wheel lifts"
+    sent = pickle.loads(pickle.dumps(own))
+    assert (sent, sent.time, sent.what) == (own, 1.23456789, "the wheel lifts")
+    assert short_reason("the step failed") == "the step failed"
 
 
 @pytest.mark.parametrize(
     ("condition", "expected"),
     [
-        ("the ground pushes it up (the wheel lifts)", "invalid from 1.5 s: the wheel lifts"),
-        ("x < 2", "invalid from 1.5 s: not fulfilled: x < 2"),
-        ("x (of the wheel) < 2", "invalid from 1.5 s: not fulfilled: x (of the wheel) < 2"),
+        ("the ground pushes it up (the wheel lifts)", "the wheel lifts"),
+        ("x < 2", "not fulfilled: x < 2"),
+        ("x (of the wheel) < 2", "not fulfilled: x (of the wheel) < 2"),
     ],
 )
-def test_invalid_run_says_from_when_and_why(condition, expected):
-    assert invalid_from(1.5, condition) == expected
+def test_violated_condition_says_what_is_wrong(condition, expected):
+    assert violated(condition) == expected

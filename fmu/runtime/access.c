@@ -197,15 +197,10 @@ Status get_indicators(Instance *self, double values[], size_t count) {
                       N_INDICATORS);
     if (count == 0) return OK;
     if (!values) return refuse(self, ERROR, "there is no room for %zu values", count);
-    double margins[ROOM(N_LIMITS)] = {0};
-    const Status status = get_margins(self, margins);
-    if (status != OK) return status;
-    for (int i = 0; i < N_MARGINS; i++)
-        if (!isfinite(margins[i]))
-            return refuse(self, DISCARD, "the margin of '%s' is %g at time %.17g", limits[i],
-                          margins[i], self->state.values[TIME]);
-    memcpy(values, margins, N_MARGINS * sizeof *values);
-    return N_WATCHED > 0 ? get_insides(self, values + N_MARGINS) : OK;
+    const Status status = get_margins(self, values);
+    for (int i = 0; i < N_LIMITS; i++)
+        if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
+    return status == OK && N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : status;
 }
 
 Status get_nominals(Instance *self, double nominals[], size_t count) {

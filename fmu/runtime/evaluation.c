@@ -61,22 +61,47 @@ static Status settle_start(Instance *self) {
     return start_modes(self);
 }
 
-/* The common arguments of the equations: t, x, z, u, p. */
-void pass_values(Instance *self) {
-    const double *values = self->state.values;
-    self->arg[0] = values + TIME;
-    self->arg[1] = values + FIRST_STATE;
-    self->arg[2] = values + FIRST_ALGEBRAIC;
-    self->arg[3] = values + FIRST_INPUT;
-    self->arg[4] = values + FIRST_PARAMETER;
+void pass_point(Instance *self, const double *t, const double x[], const double z[],
+                const double u[]) {
+    self->arg[0] = t;
+    self->arg[1] = x;
+    self->arg[2] = z;
+    self->arg[3] = u;
+    self->arg[4] = self->state.values + FIRST_PARAMETER;
 }
 
-/* The margins alone, noted nowhere; 0 is success. */
+void pass_values(Instance *self) {
+    const double *values = self->state.values;
+    pass_point(self, values + TIME, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
+               values + FIRST_INPUT);
+}
+
+bool solve_point(Instance *self, const double *t, const double x[], double z[], const double u[]) {
+    double solved[ROOM(NZ)] = {0};
+    pass_point(self, t, x, z, u);
+    if (NZ == 0) return true;
+    self->res[0] = solved;
+    if (model_algebraic(self->arg, self->res, self->iw, self->w, 0) || !all_finite(solved, NZ))
+        return false;
+    memcpy(z, solved, NZ * sizeof *z);
+    return true;
+}
+
+/* The margins alone, noted nowhere, where the arguments of the equations are passed; 0 is success.
+ */
 static int compute_margins(Instance *self, double margins[]) {
-    pass_values(self);
     self->res[0] = NULL;
     self->res[1] = margins;
     return model_outputs(self->arg, self->res, self->iw, self->w, 0);
+}
+
+bool margins_on(Instance *self, const Motion *motion, double t, double margins[]) {
+    double x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0}, u[ROOM(NU)] = {0};
+    motion->at(motion->solver, t, x, z, u);
+#if HAS_EVENTS
+    if (!follow_at(self, &(Point){t, x, z, u})) return false;
+#endif
+    return solve_point(self, &t, x, z, u) && !compute_margins(self, margins);
 }
 
 /* What to add to a message of failure at the present values. */
@@ -88,6 +113,7 @@ Hint limit_hint(Instance *self) {
 #endif
     double margins[ROOM(N_LIMITS)] = {0};
     for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
+    pass_values(self);
     if (N_LIMITS > 0) compute_margins(self, margins);
     return nearest_limit(self, margins);
 }
@@ -173,8 +199,10 @@ void note_limits(Instance *self) {
     if (N_LIMITS > 0) refresh(self, OUTPUTS);
 }
 
-/* Start to detect singular configurations, in models with a detector. */
+/* Check the validity conditions, which an importer may have located, and start to detect singular
+   configurations, in models with a detector. */
 void begin_watching(Instance *self) {
+    note_limits(self);
     if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
 }
 
@@ -189,6 +217,7 @@ Status look_back(Instance *self, Status status) {
 /* The margins of the limits at the present values, which need not be those of a solution. */
 Status get_margins(Instance *self, double margins[]) {
     const Status status = refresh(self, ALGEBRAICS);
+    pass_values(self);
     if (status != OK || !compute_margins(self, margins)) return status;
     return refuse(self, DISCARD, "the margins of the limits cannot be computed at time %.17g",
                   self->state.values[TIME]);

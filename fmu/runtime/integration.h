@@ -5,6 +5,14 @@
 #include "state.h"
 #include "visibility.h"
 
+/* What the solver knows of the motion within its step, and fresh steps from where that began: these
+   return false where they fail. */
+typedef struct {
+    void *solver;
+    void (*at)(void *solver, double t, double x[], double z[], double u[]);
+    bool (*step_to)(void *solver, double t, double x[], double z[], double u[]);
+} Motion;
+
 INSIDE_BEGIN
 
 /* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. True

@@ -36,23 +36,13 @@ typedef struct {
 static int problem_slope(void *problem, double t, const double *x, double *dx) {
     Problem *self = problem;
     Instance *fmu = self->fmu;
-    const double *values = fmu->state.values;
-    double u[ROOM(NU)] = {0}, z[ROOM(NZ)] = {0};
+    double u[ROOM(NU)] = {0};
     inputs_at(fmu, t, u);
 #if HAS_EVENTS
     const Point at = {t, x, self->z, u};
     if (!follow_at(fmu, &at)) return 1;
 #endif
-    fmu->arg[0] = &t;
-    fmu->arg[1] = x;
-    fmu->arg[2] = self->z;
-    fmu->arg[3] = u;
-    fmu->arg[4] = values + FIRST_PARAMETER;
-    if (NZ > 0) {
-        fmu->res[0] = z;
-        if (model_algebraic(fmu->arg, fmu->res, fmu->iw, fmu->w, 0) || !all_finite(z, NZ)) return 1;
-        memcpy(self->z, z, sizeof z);
-    }
+    if (!solve_point(fmu, &t, x, self->z, u)) return 1;
     fmu->res[0] = dx;
     return model_ode(fmu->arg, fmu->res, fmu->iw, fmu->w, 0);
 }
@@ -72,11 +62,7 @@ static double distance_at(Problem *self, double t, const double *x, double *rate
     Instance *fmu = self->fmu;
     double u[ROOM(NU)] = {0};
     inputs_at(fmu, t, u);
-    fmu->arg[0] = &t;
-    fmu->arg[1] = x;
-    fmu->arg[2] = self->z;
-    fmu->arg[3] = u;
-    fmu->arg[4] = fmu->state.values + FIRST_PARAMETER;
+    pass_point(fmu, &t, x, self->z, u);
     return rank_at(fmu, rate);
 }
 
@@ -127,6 +113,7 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
 #if HAS_EVENTS
     memory->crossing = 0;
 #endif
+    for (int i = 0; i < N_LIMITS; i++) memory->leaves[i] = DBL_MAX;
     memcpy(memory->end, values + FIRST_STATE, sizeof memory->end);
     Slopes k;
     if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
@@ -139,7 +126,6 @@ static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, dou
     return true;
 }
 
-#if HAS_EVENTS
 typedef struct {
     const Ode *ode;
     Problem *problem;
@@ -155,6 +141,14 @@ static void within_step(void *step, double t, double x[], double z[], double u[]
     inputs_at(self->problem->fmu, t, u);
 }
 
+/* Note when an accepted step leaves limits, where it has an interpolant. */
+static void look_at_limits(Problem *self, SolverMemory *memory, double after) {
+    Step made = {.problem = self, .memory = memory};
+    const Motion motion = {&made, within_step, NULL};
+    find_leaving(self->fmu, &motion, memory->until, after, memory->leaves);
+}
+
+#if HAS_EVENTS
 static bool step_again(void *step, double t, double x[], double z[], double u[]) {
     Step *self = step;
     const double from = self->memory->until, *start = self->memory->end;
@@ -221,10 +215,12 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
             memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
             continue;
         }
-        if ((HAS_EVENTS || after > end) &&
-            (interpolate(ode, t, h, memory->end, x, k, &memory->piece) ||
-             !all_finite(memory->piece.row[0], 8 * NX))) {
-            memset(&memory->piece, 0, sizeof memory->piece);
+        const bool needed = HAS_EVENTS || after > end;
+        const bool dense = (needed || N_LIMITS > 0) &&
+                           !interpolate(ode, t, h, memory->end, x, k, &memory->piece) &&
+                           all_finite(memory->piece.row[0], 8 * NX);
+        if (!dense) memset(&memory->piece, 0, sizeof memory->piece);
+        if (needed && !dense) {
             if (after > end)
                 ahead = end;
             else
@@ -235,6 +231,8 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
             memory->next = 0.1 * h;
             continue;
         }
+        for (int i = 0; i < N_LIMITS; i++) memory->leaves[i] = DBL_MAX;
+        if (N_LIMITS > 0 && dense) look_at_limits(self, memory, after);
         const double next = h * growth(error, rejected);
         const bool shortened = final || size < memory->next;
         memory->next = fmin(shortened ? fmax(memory->next, next) : next, LARGEST_STEP);
@@ -248,7 +246,7 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
 }
 
 /* Move the instance to a time that has been reached. */
-static void move_to(const Problem *self, const SolverMemory *memory, double time) {
+static void move_to(const Problem *self, SolverMemory *memory, double time) {
     State *state = &self->fmu->state;
     double *values = state->values;
     if (time < memory->until)
@@ -258,10 +256,11 @@ static void move_to(const Problem *self, const SolverMemory *memory, double time
     memcpy(values + FIRST_ALGEBRAIC, self->z, NZ * sizeof *values);
     move_inputs(self->fmu, time);
     state->stale |= AFTER_START;
+    note_leaving(self->fmu, time, memory->leaves);
 }
 
 /* The end of a step within a communication step: an intermediate update that changes nothing. */
-static bool show(const Problem *self, const SolverMemory *memory, double *end) {
+static bool show(const Problem *self, SolverMemory *memory, double *end) {
     State *state = &self->fmu->state;
     if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
     State before = *state;

@@ -18,7 +18,7 @@
 /* Attempts in one communication step without events. A failed one is repeated at a quarter of its
    length, so that the step ends within about 4^-5 of its length before what stops it. Failed
    attempts times the integrator's own limit of steps bound the work of a call. */
-enum { MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
+enum { MOST_PARTS = 50, MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 
 /* Integrate up to a time; on failure nothing has changed. */
 static bool advance(Instance *self, double end) {
@@ -67,12 +67,6 @@ double typical_step(Instance *self) {
     return fmin(LARGEST_STEP, 0.1 * fmax(size, 0.01) / fmax(rate, DBL_MIN));
 }
 
-#if HAS_EVENTS
-
-/* Factors of the length between two looks at the relations: where the solver fails, as it does
-   after a limited number of steps, and where it succeeds. */
-static const double SHORTER = 0.25, LONGER = 1.2;
-
 /* A step that has been made, and the cubic through both of its ends. */
 typedef struct {
     Instance *fmu;
@@ -91,6 +85,52 @@ static void on_cubic(void *cubic, double t, double x[], double z[], double u[]) 
     inputs_at(self->fmu, t, u);
 }
 
+/* The cubic of a step from a state to the present one, whose derivatives must be fresh there. */
+static bool through_ends(Instance *self, const State *from, Cubic *cubic) {
+    cubic->fmu = self;
+    cubic->from = from;
+    memcpy(cubic->slopes[0], from->values + FIRST_DERIVATIVE, NX * sizeof(double));
+    if (refresh(self, DERIVATIVES) != OK) return false;
+    memcpy(cubic->slopes[1], self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
+    return true;
+}
+
+/* When the cubic of a step that ends here leaves each limit first, up to a time. */
+static bool leaving_on_cubic(Instance *self, const State *from, double end, double leaves[]) {
+    Cubic cubic;
+    if (!through_ends(self, from, &cubic)) return false;
+    const State to = self->state;
+    cubic.to = &to;
+    find_leaving(self, &(Motion){&cubic, on_cubic, NULL}, from->values[TIME], end, leaves);
+    return true;
+}
+
+static const double NEAR = 8; /* share of a step beyond its end where its cubic still holds */
+
+/* Warn of limits that a step leaves, which has been made and begins with fresh derivatives. A step
+   that ends where a cubic leaves a limit has a cubic that is exact there. */
+static void look_at_limits(Instance *self, const State *from) {
+    const double begin = from->values[TIME], end = self->state.values[TIME];
+    double leaves[ROOM(N_LIMITS)], better[ROOM(N_LIMITS)];
+    if (N_LIMITS == 0 || !leaving_on_cubic(self, from, end, leaves)) return;
+    const State to = self->state;
+    for (int i = 0; i < N_LIMITS; i++) {
+        if (!(leaves[i] > begin && leaves[i] < end)) continue;
+        const double beyond = fmin(leaves[i] + (end - begin) / NEAR, end);
+        self->state = *from;
+        if (advance(self, leaves[i]) && leaving_on_cubic(self, from, beyond, better))
+            leaves[i] = better[i];
+        self->state = to;
+    }
+    note_leaving(self, end, leaves);
+}
+
+#if HAS_EVENTS
+
+/* Factors of the length between two looks at the relations: where the solver fails, as it does
+   after a limited number of steps, and where it succeeds. */
+static const double SHORTER = 0.25, LONGER = 1.2;
+
 /* Repeat the step so that it ends at a time; the instance is there then. */
 static bool step_again(void *cubic, double t, double x[], double z[], double u[]) {
     const Cubic *self = cubic;
@@ -106,12 +146,10 @@ static bool step_again(void *cubic, double t, double x[], double z[], double u[]
 
 /* End a step that has been made where a relation first leaves its mode, if one does. */
 static bool end_at_crossing(Instance *self, const State *from, int *relation) {
-    Cubic cubic = {.fmu = self, .from = from};
-    memcpy(cubic.slopes[0], from->values + FIRST_DERIVATIVE, NX * sizeof(double));
-    if (refresh(self, DERIVATIVES) != OK) return false;
+    Cubic cubic;
+    if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    memcpy(cubic.slopes[1], to.values + FIRST_DERIVATIVE, NX * sizeof(double));
     const Motion motion = {&cubic, on_cubic, step_again};
     Crossing crossing;
     if (!find_event(self, &motion, from->values[TIME], to.values[TIME], &crossing)) return false;
@@ -157,6 +195,7 @@ bool integrate_to(Instance *self, double end) {
                 self->state = before;
                 return false;
             }
+            look_at_limits(self, &before);
             length = fmin(length * LONGER, LARGEST_STEP);
             if (*time < end && !pass_midway(self, &end)) return false;
         } else {
@@ -172,11 +211,13 @@ enum { FAILED, LOST, DONE };
    anything. */
 static int watched_step(Instance *self, double end) {
     if (refresh(self, ALGEBRAICS) != OK) return LOST; /* the guess must be a solution */
+    if (N_LIMITS > 0 && refresh(self, DERIVATIVES) != OK) return FAILED;
 #if HAS_RANK
     if (self->state.watch.looks == 0) begin_watching(self);
-    const State before = self->state;
 #endif
+    const State before = self->state;
     if (!advance(self, end)) return FAILED;
+    look_at_limits(self, &before);
 #if HAS_RANK
     if (look_back(self, DISCARD) != OK) {
         self->state = before;
@@ -200,10 +241,12 @@ bool integrate_to(Instance *self, double end) {
 #else
 bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME];
-    double length = end - *time;
+    const double span = end - *time; /* in parts between two looks at limits */
+    const double longest = N_LIMITS > 0 ? fmax(LARGEST_STEP, span / MOST_PARTS) : span;
+    const int most = MOST_ATTEMPTS + (N_LIMITS > 0 ? MOST_PARTS : 0);
+    double length = longest;
     int failed = 0;
-    for (int attempt = 0; attempt < MOST_ATTEMPTS && *time < end && failed < MOST_FAILED;
-         attempt++) {
+    for (int attempt = 0; attempt < most && *time < end && failed < MOST_FAILED; attempt++) {
         const double rest = end - *time;
         const bool last = length >= rest;
         const int how = watched_step(self, last ? end : *time + length);

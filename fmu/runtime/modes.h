@@ -3,6 +3,7 @@
 #ifndef MODES_H
 #define MODES_H
 
+#include "integration.h"
 #include "state.h"
 #include "visibility.h"
 
@@ -10,14 +11,6 @@
 #include "search.h"
 
 enum { SPAN = 50 }; /* of a run without an end, in largest steps */
-
-/* What the solver knows of the motion within its step, and fresh steps from where that began: these
-   return false where they fail. */
-typedef struct {
-    void *solver;
-    void (*at)(void *solver, double t, double x[], double z[], double u[]);
-    bool (*step_to)(void *solver, double t, double x[], double z[], double u[]);
-} Motion;
 
 INSIDE_BEGIN
 

@@ -11,9 +11,10 @@ typedef struct {
     Interpolant piece; /* where the last step ended beyond a communication point */
     double until;      /* end of the last step */
     double end[NX], slope[NX];
-    double next;             /* size of the step that follows; 0: there was none before */
-    double rested;           /* 1: the inputs did not move during the last step */
-    double inputs[ROOM(NU)]; /* as it began */
+    double next;                   /* size of the step that follows; 0: there was none before */
+    double rested;                 /* 1: the inputs did not move during the last step */
+    double inputs[ROOM(NU)];       /* as it began */
+    double leaves[ROOM(N_LIMITS)]; /* when it leaves each limit first; DBL_MAX: never */
 #if HAS_EVENTS
     double crossing; /* relation that leaves its mode where the last step ended, from 1 on; or 0 */
 #endif

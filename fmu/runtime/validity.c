@@ -7,15 +7,25 @@
 
 _Static_assert(N_LIMITS <= 32, "a bit for each limit");
 
-/* Warn once for each crossing of a limit; the run goes on. What is not a number is outside. */
+/* Warn once for each crossing of a limit; the run goes on. In model exchange a limit that has been
+   left is not watched any more, as margins beyond it may have poles; `valid` needs both directions.
+ */
+void note_side(Instance *self, int i, double time, bool inside) {
+    const uint32_t bit = UINT32_C(1) << i;
+    uint32_t *outside = &self->state.outside;
+    if (!inside && !(*outside & bit))
+        log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
+    if (!inside)
+        *outside |= bit;
+    else if (HAS_VALID || self->state.interface == INTERFACE_CS)
+        *outside &= ~bit;
+}
+
+/* What is not a number is outside. */
 void note_margins(Instance *self, const double margins[]) {
     State *state = &self->state;
     for (int i = 0; i < N_LIMITS; i++) {
-        const uint32_t bit = UINT32_C(1) << i;
-        const bool inside = margins[i] > 0;
-        if (!inside && !(state->outside & bit))
-            log_text(self, WARNING, "invalid from %.9g s: %s", state->values[TIME], violations[i]);
-        state->outside = inside ? state->outside & ~bit : state->outside | bit;
+        note_side(self, i, state->values[TIME], margins[i] > 0);
         if (isfinite(margins[i])) state->widest[i] = fmax(state->widest[i], margins[i]);
     }
 }

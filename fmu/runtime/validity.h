@@ -12,7 +12,10 @@ typedef struct {
 
 INSIDE_BEGIN
 
+/* Note on which side of a limit the instance is at a time, or of all limits by their margins. */
+void note_side(Instance *self, int i, double time, bool inside);
 void note_margins(Instance *self, const double margins[]);
+
 Hint nearest_limit(const Instance *self, const double margins[]);
 
 INSIDE_END

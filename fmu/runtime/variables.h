@@ -56,9 +56,9 @@ enum {
     N_VARIABLES = FIRST_OUTPUT + NY
 };
 
-/* A model that tells whether it is valid has the margins of its limits as event indicators; then
-   come those of its relations, which are its last outputs. */
-enum { N_MARGINS = HAS_VALID ? N_LIMITS : 0, N_INDICATORS = N_MARGINS + N_WATCHED };
+/* The event indicators, which are the last outputs: the margins of the limits, and those of the
+   relations. */
+enum { N_INDICATORS = N_LIMITS + N_WATCHED };
 
 INSIDE_BEGIN
 

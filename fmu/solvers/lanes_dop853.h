@@ -22,6 +22,8 @@
 #error "define NX, NU, NP, NC, NN, NY and NL before solvers are included"
 #endif
 
+#include "margins.h"
+
 enum { STAGES = 12, END = STAGES, EXTENDED = 16, REPORT = 8 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
@@ -34,7 +36,8 @@ typedef void LaneRow(int row, V (*k)[NX], V *sum);
 typedef struct {
     LaneFunction *constants; /* p -> c */
     LaneFunction *rhs;       /* t, x, u, c -> dx/dt */
-    LaneFunction *observe;   /* t, needed states, u, c -> outputs, margins of the limits */
+    LaneFunction *observe;   /* t, needed states, u, c -> outputs */
+    LaneFunction *margins;   /* the same -> margins of the limits; NULL without limits */
     const int *needed;
     const double *node;
     LaneRow *stage, *dense;
@@ -57,11 +60,13 @@ typedef struct {
 
 typedef struct {
     V t, h, c[NC + 1], u[NU + 1], p[NP + 1], nominal[NX], x[NX], end[NX], sum[NX], k[EXTENDED][NX];
-    V planned;        /* steps that the end does not cut off */
-    V row[8][NN + 1]; /* of the interpolants, in Hairer's nested form */
+    V planned;         /* steps that the end does not cut off */
+    V row[8][NN + 1];  /* of the interpolants, in Hairer's nested form */
+    V margins[NL + 1]; /* at t, while no limit has been left */
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
     int rejected[LANES], final[LANES];
-    double spent[LANES];
+    double spent[LANES], left[LANES]; /* when a limit was left first; infinite: never */
+    int limit[LANES];
     double *kept; /* needed states by lane, state and time */
     long long stride;
 } Lanes;
@@ -115,10 +120,9 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
 /* Writes what a run has reached, and frees its lane. */
 static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     const long long run = self->run[lane], points = batch->points;
-    long long done = self->next[lane], outside = -1;
-    int limit = -1;
-    double *out = batch->out + run * points * NY;
-    V u[NU + 1], c[NC + 1], x[NN + 1], y[NY + 1], margin[NL + 1], t;
+    long long done = self->next[lane];
+    double left = self->left[lane], *out = batch->out + run * points * NY;
+    V u[NU + 1], c[NC + 1], x[NN + 1], y[NY + 1], t;
     for (int i = 0; i < NU; ++i) u[i] = every(self->u[i][lane]);
     for (int i = 0; i < NC; ++i) c[i] = every(self->c[i][lane]);
     for (long long j = 0; j < done; j += LANES) {
@@ -126,15 +130,10 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
         for (int i = 0; i < NN; ++i)
             memcpy(&x[i], self->kept + (lane * NN + i) * self->stride + j, sizeof x[i]);
         const V *in[] = {&t, x, u, c};
-        V *result[] = {y, margin};
+        V *result[] = {y};
         model.observe(in, result);
         for (int l = 0; l < LANES && j + l < done; ++l) {
             double sum = 0;
-            for (int i = 0; i < NL; ++i)
-                if (outside < 0 && !(margin[i][l] > 0)) {
-                    outside = j + l;
-                    limit = i;
-                }
             for (int i = 0; i < NY; ++i) {
                 out[(j + l) * NY + i] = y[i][l];
                 sum += 0 * y[i][l];
@@ -145,9 +144,9 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
             }
         }
     }
-    if (outside >= done) outside = -1;
-    if (outside >= 0 && batch->stop_outside) {
-        done = outside;
+    if (code == NOT_FINITE && done < points && !(left < batch->grid[done])) left = INFINITY;
+    if (left < INFINITY && batch->stop_outside) {
+        while (done > 0 && batch->grid[done - 1] >= left) --done;
         code = OUTSIDE;
     }
     for (long long j = done * NY; j < points * NY; ++j) out[j] = NAN;
@@ -158,11 +157,85 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     report[3] = (double)done;
     report[4] = self->t[lane];
     report[5] = self->spent[lane];
-    report[6] = (double)outside;
-    report[7] = limit;
+    report[6] = left;
+    report[7] = self->limit[lane];
     if (batch->steps) batch->steps[run] = self->planned[lane];
     self->run[lane] = -1;
     self->h[lane] = 0;
+}
+
+/* States that outputs and margins need, within the step of one lane. */
+static void interpolated(const Lanes *self, int lane, V t, V *x) {
+    const V s = (t - every(self->t[lane])) / every(self->h[lane]), r = every(1) - s;
+    for (int n = 0; n < NN; ++n) {
+        x[n] = every(self->row[7][n][lane]);
+        for (int j = 6; j >= 0; --j) x[n] = every(self->row[j][n][lane]) + (j % 2 ? r : s) * x[n];
+    }
+}
+
+/* A limit of a lane within its step. */
+typedef struct {
+    const Lanes *lanes;
+    int lane, limit;
+} Margin;
+
+static void measure_limit(void *margin, const double times[], double margins[]) {
+    const Margin *self = margin;
+    V t, x[NN + 1], u[NU + 1], c[NC + 1], found[NL + 1];
+    for (int i = 0; i < NU; ++i) u[i] = every(self->lanes->u[i][self->lane]);
+    for (int i = 0; i < NC; ++i) c[i] = every(self->lanes->c[i][self->lane]);
+    const V *in[] = {&t, x, u, c};
+    V *out[] = {found};
+    for (int k = 0; k < LOOKS; k += LANES) {
+        FOR_LANES t[l] = times[k + l < LOOKS ? k + l : LOOKS - 1];
+        interpolated(self->lanes, self->lane, t, x);
+        model.margins(in, out);
+        for (int l = 0; l < LANES && k + l < LOOKS; ++l) margins[k + l] = found[self->limit][l];
+    }
+}
+
+static void note_left(Lanes *self, int lane, int limit, double time) {
+    if (!(time < self->left[lane])) return;
+    self->left[lane] = time;
+    self->limit[lane] = limit;
+}
+
+/* The margins of all lanes, each at a time of its own. */
+static void all_margins(const Lanes *self, V t, const V *x, V *margins) {
+    const V *in[] = {&t, x, self->u, self->c};
+    V *out[] = {margins};
+    model.margins(in, out);
+}
+
+/* Notes the limits that some lanes leave first in their steps. */
+static void look(Lanes *self, M some, V after) {
+    V x[NN + 1], margins[LOOKS + 1][NL + 1];
+    memcpy(margins[0], self->margins, sizeof margins[0]);
+    for (int k = 1; k <= LOOKS; ++k) {
+        const V s = every((double)k / LOOKS), r = every(1) - s;
+        for (int n = 0; n < NN; ++n) {
+            x[n] = self->row[7][n];
+            for (int j = 6; j >= 0; --j) x[n] = self->row[j][n] + (j % 2 ? r : s) * x[n];
+        }
+        all_margins(self, self->t + s * (after - self->t), x, margins[k]);
+    }
+    FOR_LANES for (int i = 0; i < NL && some[l]; ++i) {
+        Margin margin = {self, l, i};
+        double known[LOOKS + 1];
+        for (int k = 0; k <= LOOKS; ++k) known[k] = margins[k][i][l];
+        note_left(self, l, i, first_outside(measure_limit, &margin, self->t[l], after[l], known));
+    }
+    for (int i = 0; i < NL; ++i) self->margins[i] = pick(some, margins[LOOKS][i], self->margins[i]);
+}
+
+/* Notes the margins of the first states of some lanes. */
+static void look_at_start(Lanes *self, M some) {
+    V x[NN + 1], margins[NL + 1];
+    for (int n = 0; n < NN; ++n) x[n] = self->x[model.needed[n]];
+    all_margins(self, self->t, x, margins);
+    for (int i = 0; i < NL; ++i) self->margins[i] = pick(some, margins[i], self->margins[i]);
+    FOR_LANES for (int i = 0; i < NL && some[l]; ++i) if (!(margins[i][l] > 0))
+        note_left(self, l, i, self->t[l]);
 }
 
 static void keep(Lanes *self, int lane, const V *x) {
@@ -193,6 +266,8 @@ static int refill(Lanes *self, const Batch *batch) {
             self->calls[l] = 2;
             self->rejected[l] = 0;
             self->spent[l] = 0;
+            self->left[l] = INFINITY;
+            self->limit[l] = -1;
             fresh[l] = -1;
             some = 1;
             keep(self, l, self->x);
@@ -202,6 +277,7 @@ static int refill(Lanes *self, const Batch *batch) {
         V *out[] = {self->c};
         model.constants(in,
                         out); /* the other lanes' stay as they are: the same numbers once more */
+        if (NL > 0) look_at_start(self, fresh);
         slopes(self, self->t, self->x, self->sum);
         const M good = is_finite(self->sum) & is_finite(self->x);
         for (int i = 0; i < NX; ++i) self->k[0][i] = pick(fresh, self->sum[i], self->k[0][i]);
@@ -265,10 +341,9 @@ static void interpolants(Lanes *self) {
 
 /* Keeps a lane's states at the output times within its step, several times at once. */
 static void sample(Lanes *self, const Batch *batch, int lane, double after) {
-    const V begin = every(self->t[lane]), length = every(self->h[lane]);
     long long *next = &self->next[lane];
     while (*next < batch->points && batch->grid[*next] < after) {
-        V t;
+        V t, x[NN + 1];
         int within = 0;
         FOR_LANES {
             const long long j = *next + l;
@@ -276,13 +351,9 @@ static void sample(Lanes *self, const Batch *batch, int lane, double after) {
             t[l] = batch->grid[inside ? j : *next];
             within += inside;
         }
-        const V s = (t - begin) / length, r = every(1) - s;
-        for (int n = 0; n < NN; ++n) {
-            V value = every(self->row[7][n][lane]);
-            for (int j = 6; j >= 0; --j)
-                value = every(self->row[j][n][lane]) + (j % 2 ? r : s) * value;
-            memcpy(self->kept + (lane * NN + n) * self->stride + *next, &value, sizeof value);
-        }
+        interpolated(self, lane, t, x);
+        for (int n = 0; n < NN; ++n)
+            memcpy(self->kept + (lane * NN + n) * self->stride + *next, &x[n], sizeof x[n]);
         *next += within;
         self->trials[lane] = 0;
     }
@@ -310,17 +381,21 @@ static void step(Lanes *self, const Batch *batch) {
     const V error = errors(self, batch);
     slopes(self, after, self->end, self->k[END]);
     M good = (error <= every(1)) & is_finite(self->end) & is_finite(self->k[END]);
-    int dense = 0;
+    M looks;
+    int dense = 0, some = 0;
     FOR_LANES {
         if (self->run[l] < 0)
             good[l] = 0;
         else
             self->calls[l] += STAGES;
-        const int wants = good[l] && batch->grid[self->next[l]] < after[l];
+        looks[l] = NL > 0 && good[l] && self->left[l] == INFINITY ? -1 : 0;
+        some |= looks[l] != 0;
+        const int wants = looks[l] || (good[l] && batch->grid[self->next[l]] < after[l]);
         if (wants) self->calls[l] += EXTENDED - STAGES - 1;
         dense |= wants;
     }
     if (dense) interpolants(self);
+    if (some) look(self, looks, after);
     const V change = every(0.9) / eighth_root(error), least = every(1.0 / 3);
     V growth = larger(change, least);
     FOR_LANES {
@@ -343,8 +418,11 @@ static void step(Lanes *self, const Batch *batch) {
     self->t = pick(good, after, self->t);
     self->h = smaller(self->h * growth, every(batch->largest));
     self->planned = pick(good, larger(self->planned, self->h), self->h);
-    FOR_LANES if (self->run[l] >= 0 && self->next[l] >= batch->points)
-        finish(self, batch, l, ENDED);
+    FOR_LANES {
+        const int left = batch->stop_outside && self->left[l] < INFINITY;
+        if (self->run[l] >= 0 && (left || self->next[l] >= batch->points))
+            finish(self, batch, l, ENDED);
+    }
 }
 
 /* Runs what is left of a batch; several threads may do so. Returns 0 unless memory is short. */

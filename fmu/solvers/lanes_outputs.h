@@ -1,4 +1,4 @@
-/* What a run records, and where it is left by what it should keep to, several times at once.
+/* What a run records, and the margins of its limits, several times at once.
  *
  * Sines and cosines are those of the C library, so that the numbers are the bits of scalar code.
  */
@@ -31,14 +31,8 @@ typedef struct {
     double *margins;         /* takes a row of those of the limits per time; or NULL */
 } Watched;
 
-static inline void note(long long *first, long long points, M where, long long begin) {
-    for (int l = 0; l < LANES && *first == points; ++l)
-        if (where[l]) *first = begin + l < points ? begin + l : points - 1;
-}
-
 /* Fills the rows. `first` takes the position of the first time at which a state, or what is
- * recorded, is not finite; then that of each limit at which its margin is not positive; the number
- * of times where there is none. */
+ * recorded, is not finite; the number of times if there is none. */
 LANES_SHARED void lanes_outputs(const Watched *self) {
     const long long points = self->points;
     V time, c[NC + 1], now[NU + 1], numbers[NP + 1], known[NX + NY + NL + 1];
@@ -46,7 +40,7 @@ LANES_SHARED void lanes_outputs(const Watched *self) {
     const V *given[] = {numbers}, *in[] = {&time, known, now, c};
     V *constants[] = {c}, *out[] = {known + NX};
     outputs.constants(given, constants);
-    for (int i = 0; i <= NL; ++i) self->first[i] = points;
+    *self->first = points;
     for (long long j = 0; j < points; j += LANES) {
         FOR_LANES {
             const long long k = j + l < points ? j + l : points - 1;
@@ -59,9 +53,9 @@ LANES_SHARED void lanes_outputs(const Watched *self) {
         V sum = every(0); /* 0 * inf and 0 * nan are nan */
         for (int i = 0; i < NX; ++i) sum += 0 * known[i];
         for (long long i = 0; i < self->recorded; ++i) sum += 0 * known[self->places[i]];
-        note(self->first, points, ~(sum == 0), j);
-        for (int i = 0; i < NL; ++i)
-            note(self->first + 1 + i, points, ~(known[NX + NY + i] > 0), j);
+        const M lost = ~(sum == 0);
+        for (int l = 0; l < LANES && *self->first == points; ++l)
+            if (lost[l]) *self->first = j + l < points ? j + l : points - 1;
         for (int l = 0; l < LANES && j + l < points; ++l) {
             double *const row = self->rows + (j + l) * self->recorded;
             double *const margins = self->margins ? self->margins + (j + l) * NL : NULL;

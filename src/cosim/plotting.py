@@ -17,7 +17,6 @@ from cosim.arrays import Vector
 from cosim.colors import INVALID
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
-from cosim.text import violation
 
 DPI = 120
 LINES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1, 1, 1)), (0, (1, 1)), "-.", "--")  # for print
@@ -55,7 +54,8 @@ def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> s
     if not reasons:
         return ""
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-    text = f"shaded: invalid from {invalid_from:.3g} s: {violation(reasons[0])}{more}"
+    what = getattr(reasons[0], "what", reasons[0])
+    text = f"shaded: invalid from {invalid_from:.3g} s: {what}{more}"
     return fill(text, int(width * 14), max_lines=5, placeholder=" ...")
 
 

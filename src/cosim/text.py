@@ -15,8 +15,6 @@ LONGEST_WORD = 300  # of a word, a list or a quoted text in it
 _ENDLESS = re.compile(r"(?<!\w)'[^'\n]{300,}'|\[[^][\n]{300,}\]|\S{300,}")
 # Control characters, escapes of terminals among them, and those that turn the writing direction
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-INVALID = "invalid from"
-_VIOLATED = re.compile(rf"{INVALID} (?P<time>\S+) s: (?P<violation>.*)")
 _INSTEAD = re.compile(r".*? \(([^()]*)\)")
 
 
@@ -51,21 +49,32 @@ def violated(condition: str) -> str:
     return found[1] if found else f"not fulfilled: {condition}"
 
 
-def invalid_from(time: float, condition: str) -> str:
-    """Return the reason in `stats["invalid"]` of a run that violates a condition from a time, s."""
-    return f"{INVALID} {time:g} s: {violated(condition)}"
+class Violation(str):
+    """A reason why a run is invalid from a time on: a text that knows its parts.
+
+    Attributes:
+        time: The time, s.
+        what: What is wrong; without the time, unless the text is a sentence of its own.
+    """
+
+    time: float
+    what: str
+
+    def __new__(cls, time: float, what: str, text: str | None = None) -> "Violation":
+        """Return the text: by default "invalid from TIME s: WHAT"."""
+        self = super().__new__(cls, text or f"invalid from {time:g} s: {what}")
+        self.time, self.what = time, what
+        return self
+
+    def __reduce__(self) -> tuple[type["Violation"], tuple[float, str, str]]:
+        return Violation, (self.time, self.what, str(self))
 
 
-def violation(reason: str) -> str:
-    """Return a reason as in `stats["invalid"]` without its time."""
-    found = _VIOLATED.fullmatch(reason)
-    return found["violation"] if found else re.sub(r"^from \S+ s on ", "", reason)
-
-
-def invalidity(reason: str) -> str:
-    """Return a reason as in `stats["invalid"]` with three digits of its time."""
-    found = _VIOLATED.fullmatch(reason)
-    return f"{INVALID} {float(found['time']):.3g} s: {found['violation']}" if found else reason
+def short_reason(reason: str) -> str:
+    """Return a reason, with three digits of its time if it is a `Violation`."""
+    if not isinstance(reason, Violation) or reason.what == reason:
+        return reason
+    return f"invalid from {reason.time:.3g} s: {reason.what}"
 
 
 def csv_cell(text: str) -> str:

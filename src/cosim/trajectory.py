@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -132,12 +131,11 @@ class Trajectory:
     @property
     def validity(self) -> tuple[float, tuple[str, ...]]:
         """Time from which the run is invalid, s (infinite if it is valid), and the reasons."""
-        reasons = tuple(str(text) for text in self.stats.get("invalid", ()))
+        reasons = tuple(self.stats.get("invalid", ()))
         if not len(self):
             return inf, reasons
-        match = re.match(r"from (\S+) s on ", reasons[0]) if reasons else None
-        known = float(match[1]) if match else self.time[0] if reasons else inf
-        start = float(self.stats.get("invalid_from", known))
+        times = (getattr(text, "time", float(self.time[0])) for text in reasons)
+        start = float(self.stats.get("invalid_from", min(times, default=inf)))
         if self.complete:
             return start, reasons
         return min(start, float(self.time[-1])), (*reasons, self.status)

@@ -84,7 +84,7 @@ def test_numbers_of_states_and_indicators(fmi3):
     assert fmu("GetNumberOfContinuousStates", byref(count)) == OK
     assert count.value == 4
     assert fmu("GetNumberOfEventIndicators", byref(count)) == OK
-    assert count.value == 0
+    assert count.value == 1
 
 
 def test_variables_of_other_types_do_not_exist(fmi3):

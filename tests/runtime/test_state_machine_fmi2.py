@@ -146,7 +146,7 @@ def call(fmu, function, snapshot, blob):
         "CompletedIntegratorStep": (1, byref(c_int()), byref(c_int())),
         "SetTime": (0.1,),
         "SetContinuousStates": (four, 4),
-        "GetEventIndicators": (None, 0),
+        "GetEventIndicators": (reals(0.0), 1),
         "GetContinuousStates": (four, 4),
         "GetDerivatives": (four, 4),
         "GetNominalsOfContinuousStates": (four, 4),

@@ -161,7 +161,7 @@ def call(fmu, function, snapshot, blob):
         "SetTime": (0.1,),
         "SetContinuousStates": (four, 4),
         "GetContinuousStateDerivatives": (four, 4),
-        "GetEventIndicators": (None, 0),
+        "GetEventIndicators": (reals(0.0), 1),
         "GetContinuousStates": (four, 4),
         "GetNominalsOfContinuousStates": (four, 4),
         "GetNumberOfEventIndicators": (byref(c_size_t()),),

@@ -17,7 +17,6 @@ from cosim.codegen.initialization import usual_start
 from cosim.drawing.rotation import continuous, onto, to_matrices, to_quaternions
 from cosim.errors import UsageError
 from cosim.series.samples import resample
-from cosim.text import violation
 
 # The drawing of a model without shapes, on pages that show its curves
 POINT = Drawing(
@@ -163,7 +162,7 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
     for run in runs:
         if run.reasons and run.time[frame] >= run.invalid_from:
             owner = f"{run.title}: " if len(runs) > 1 else ""
-            why = violation(run.reasons[0])
+            why = getattr(run.reasons[0], "what", run.reasons[0])
             found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {why}")
     return " | ".join(found)
 

@@ -42,22 +42,19 @@ class Solved:
 
 @dataclass(frozen=True)
 class Observed:
-    """Recorded values of a run, and the first times at which they are not finite or not valid.
+    """Recorded values of a run, and the first time at which they are not finite.
 
     Attributes:
         table: Recorded values, SI, one row per time, one column per variable.
         unknowns: Algebraic unknowns, SI, (n, nz).
         first_not_finite: Position of the first time at which a state, an algebraic unknown, or a
             recorded value is not finite; n if there is none.
-        first_invalid: For each validity condition, the position of the first time at which its
-            margin is not positive; n if there is none.
         margins: Margins of the validity conditions, (n, conditions), if they are requested.
     """
 
     table: Vector
     unknowns: Vector
     first_not_finite: int
-    first_invalid: tuple[int, ...]
     margins: Vector
 
 
@@ -66,7 +63,6 @@ def observe(
     solved: Solved,
     places: tuple[int, ...],
     *,
-    limits: bool,
     margins: bool,
     compiled: bool,
 ) -> Observed:
@@ -76,33 +72,32 @@ def observe(
         dae: The model.
         solved: Result of the solver.
         places: Positions of the recorded variables among `all_columns`.
-        limits: Whether to evaluate the validity conditions.
-        margins: Whether to return their margins.
+        margins: Whether to evaluate the margins of the validity conditions.
         compiled: Whether the equations are compiled.
     """
     n, nx = len(solved.time), len(dae.states)
     if not n:
         sizes = len(places), len(dae.algebraics), len(dae.limits)
         table, unknowns, none = (np.empty((0, size)) for size in sizes)
-        return Observed(table, unknowns, 0, (0,) * len(dae.limits), none)
+        return Observed(table, unknowns, 0, none)
     computed = max(places, default=0) >= nx
-    if not (computed or limits or dae.algebraics):
+    if not (computed or margins or dae.algebraics):
         return _states_alone(solved, places)
     several = compiled and n >= _FEWEST_IN_LANES
     if several and (library := _lane_library(dae, limits_only=not computed)) is not None:
         return _in_lanes(library, dae, solved, places, margins=margins)
-    return _one_by_one(dae, solved, places, limits=limits, compiled=compiled)
+    return _one_by_one(dae, solved, places, margins=margins, compiled=compiled)
 
 
 def _states_alone(solved: Solved, places: tuple[int, ...]) -> Observed:
     """Return the result of `observe` for recorded states, where nothing has to be evaluated."""
     rows = solved.states.T  # C-ordered, as solvers write them
     table, none = rows.take(np.array(places, dtype=np.int64), axis=1), np.empty((len(rows), 0))
-    return Observed(table, none, finite_rows(rows), (), none)
+    return Observed(table, none, finite_rows(rows), none)
 
 
 def _one_by_one(
-    dae: Dae, solved: Solved, places: tuple[int, ...], *, limits: bool, compiled: bool
+    dae: Dae, solved: Solved, places: tuple[int, ...], *, margins: bool, compiled: bool
 ) -> Observed:
     """Return the result of `observe`, for any model."""
     n, known = len(solved.time), len(dae.states) + len(dae.algebraics)
@@ -115,10 +110,9 @@ def _one_by_one(
     every = np.hstack((solved.states.T, rows))
     checked = every[:, sorted({*range(known), *places})]
     not_finite = _first(~np.isfinite(checked).all(axis=1))
-    margins = every[:, every.shape[1] - len(dae.limits) :] if limits else np.empty((n, 0))
-    invalid = tuple(_first(~(margin > 0)) for margin in margins.T)  # true for NaN
+    own = every[:, every.shape[1] - len(dae.limits) :] if margins else np.empty((n, 0))
     unknowns = every[:, len(dae.states) : known]
-    return Observed(every[:, places], unknowns, not_finite, invalid, margins)
+    return Observed(every[:, places], unknowns, not_finite, own)
 
 
 def _evaluate_rows(function: ca.Function, arguments: tuple[Vector, ...], rows: Vector) -> None:
@@ -152,7 +146,7 @@ def _in_lanes(
 ) -> Observed:
     """Return the result of `observe`, for explicit formulations."""
     n = len(solved.time)
-    table, first = np.empty((n, len(places))), np.empty(1 + len(dae.limits), dtype=np.int64)
+    table, first = np.empty((n, len(places))), np.empty(1, dtype=np.int64)
     arguments = [solved.time, solved.states.T, solved.u.T, solved.p]
     arrays = [*map(np.ascontiguousarray, arguments)]  # a library has their addresses only
     margin_table = np.empty((n, len(dae.limits) if margins else 0))
@@ -167,8 +161,7 @@ def _in_lanes(
             margin_table.ctypes.data if margins else None,
         )
     )
-    not_finite, *invalid = first.tolist()
-    return Observed(table, np.empty((n, 0)), not_finite, tuple(invalid), margin_table)
+    return Observed(table, np.empty((n, 0)), int(first[0]), margin_table)
 
 
 @cached_per_thread(64)

@@ -114,7 +114,10 @@ def _prepared(
         )
     grid = output_times
     watched = policy.on_invalid is not OnInvalid.IGNORE and not policy.projects
-    if (watched or hybrid(dae)) and not isinstance(chosen, FixedStep):
+    if isinstance(chosen, FixedStep):  # at the ends of its steps
+        if watched and chosen.step_size is not None:
+            grid = times_between(dae, output_times, chosen.step_size)
+    elif watched or hybrid(dae):
         grid = times_between(dae, output_times)
     recorded = times.requested if times.own else output_times
     rows = None if len(recorded) == len(grid) else np.searchsorted(grid, recorded)

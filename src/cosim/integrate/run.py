@@ -89,7 +89,6 @@ def _evaluated(
         watched,
         solved,
         prepared.places,
-        limits=checked,
         margins=checked,
         compiled=problem.compiled,
     )
@@ -101,14 +100,14 @@ def _evaluated(
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
-            n, reason, _ = singular
+            n, reason = singular
         elif singular is not None:  # an explicit formulation goes on, with a warning
             found.append(singular)
     if checked:
         found += breaches(dae, solved, seen, n)
-        found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.time))
+        found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
-            n, reason, _ = found[0]
+            n, reason = found[0]
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
@@ -125,7 +124,7 @@ def _both_sides(
     x, z = (np.array(rows).T for rows in ([side.x for side in every], [side.z for side in every]))
     u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
     solved = Solved(np.array([side.t for side in every]), x, z, u, p)
-    seen = observe(motion.dae, solved, prepared.places, limits=False, margins=False, compiled=False)
+    seen = observe(motion.dae, solved, prepared.places, margins=False, compiled=False)
     names = [c.name for c in prepared.columns] + [v.name for v in prepared.problem.dae.states]
     rows, sides = 2 * np.array([event.instant for event in events]), list[list[list[float]]]()
     for i, states in enumerate(([e.before for e in events], [e.after for e in events])):
@@ -259,9 +258,9 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
         compiled=problem.compiled,
         wall_time=perf_counter() - began,
         compile_time=time_compiling() - compiling or None,
-        invalid=tuple(breach.text for breach in invalid),
+        invalid=tuple(breach.reason for breach in invalid),
         note=_note(prepared, motion),
-        invalid_from=invalid[0].time if invalid else None,
+        invalid_from=invalid[0].reason.time if invalid else None,
         stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
         stop_time=float(time[-1]) if stop else None,
     )

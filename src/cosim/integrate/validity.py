@@ -17,17 +17,16 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import Observed, Solved
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
-from cosim.text import invalid_from
+from cosim.text import Violation, violated
 
 STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
 
 
 class Breach(NamedTuple):
-    """The first output time that is not valid: its position, the reason, and the exact time, s."""
+    """The position of the first output time that is not valid, and the reason with its time."""
 
     position: int
-    text: str
-    time: float
+    reason: Violation
 
 
 def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
@@ -48,8 +47,7 @@ def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
         for k in _doubtful(margin):
             when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)
             if when is not None:
-                text = invalid_from(when, meaning)
-                found.append(Breach(k + 1, text, when))
+                found.append(Breach(k + 1, Violation(when, violated(meaning))))
                 break
     return found
 
@@ -126,14 +124,11 @@ def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: floa
         return []
     i = int(outside[0])
     row = int(np.argmax(change[:, i]))
-    return [
-        Breach(
-            i,
-            f"from {time[i]:g} s on the step of {step:g} s is too long: half the step changes "
-            f"{dae.states[row].name} by {change[row, i] * nominal[row, 0]:.2g}",
-            float(time[i]),
-        )
-    ]
+    what = (
+        f"the step of {step:g} s is too long: half the step changes "
+        f"{dae.states[row].name} by {change[row, i] * nominal[row, 0]:.2g}"
+    )
+    return [Breach(i, Violation(float(time[i]), what))]
 
 
 @dataclass(frozen=True)
@@ -185,24 +180,26 @@ def with_singularity_margin(dae: Dae) -> Dae:
     return replace(dae, limits=(*dae.limits, margin))
 
 
-def times_between(dae: Dae, grid: Vector) -> Vector:
+def times_between(dae: Dae, grid: Vector, gap: float | None = None) -> Vector:
     """Return output times with further times between, to detect what happens there.
 
     Args:
         dae: The model; without events, validity conditions and the monitor of its constraints,
             nothing is added.
         grid: Output times, s, (n,).
+        gap: Distance between two times, s; by default the model's output interval. It is larger
+            for very long runs.
     """
     # explicit formulations fail in singular configurations
     watched = dae.has_conditioned_multipliers or dae.limits or hybrid(dae)
     if not watched or len(grid) < 2:
         return grid
     span = float(grid[-1] - grid[0])
-    gap = max(dae.experiment.output_interval, span / _MOST_TIMES)
+    gap = max(gap or dae.experiment.output_interval, span / _MOST_TIMES)
     lengths = np.diff(grid)
     if not (lengths > _COARSE * gap).any():
         return grid
-    pieces = np.maximum(1, np.ceil(lengths / gap)).astype(int)
+    pieces = np.maximum(1, np.ceil(lengths / gap * (1 - 1e-12))).astype(int)
     inner = [
         np.linspace(a, b, k, endpoint=False)
         for a, b, k in zip(grid, grid[1:], pieces, strict=False)
@@ -252,7 +249,7 @@ def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: in
         f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations; "
         f"{remedy}"
     )
-    return Breach(first.position + 1, text, first.when)
+    return Breach(first.position + 1, Violation(first.when, text, text))
 
 
 def singular_configurations(

@@ -117,7 +117,7 @@ class LaneCopies:
         rows["step"][going] = steps
         rows["x"][going] = values[:, -1, : len(self.states)]
         for number, report in zip(going.tolist(), ended, strict=True):
-            if report["code"] or report["outside"] >= 0:
+            if report["code"] or report["left"] < np.inf:
                 _, reason, outside = batch_outcome(self._dae, report, grid)
                 if reason:
                     self.reasons[number] = reason

@@ -108,12 +108,18 @@ def test_our_own_runs_have_it_as_a_number(files, fmi):
     assert set(run["valid"]) == {0.0, 1.0}
 
 
-def test_without_the_option_nothing_is_there(tmp_path):
+def test_without_the_option_there_are_only_the_margins(tmp_path):
     path = cosim.export_fmu(swing(), tmp_path / "swing.fmu")
     with zipfile.ZipFile(path) as fmu:
         text = fmu.read("modelDescription.xml").decode()
     assert "Boolean" not in text
-    assert 'numberOfEventIndicators="0"' in text
+    assert 'numberOfEventIndicators="2"' in text
+
+
+def test_without_limits_there_are_no_indicators(tmp_path):
+    path = cosim.export_fmu(decay(), tmp_path / "decay.fmu")
+    with zipfile.ZipFile(path) as fmu:
+        assert 'numberOfEventIndicators="0"' in fmu.read("modelDescription.xml").decode()
 
 
 def test_impossible_valid_output_is_rejected_with_one_message(tmp_path):

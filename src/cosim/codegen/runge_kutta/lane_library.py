@@ -132,10 +132,13 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
         "observe": ca.Function(
             "f",
             [dae.t, read, dae.u, c],
-            [ca.densify(every[nx : nx + ny]), ca.densify(every[nx + ny :])],
+            [ca.densify(every[nx : nx + ny])],
             _CSE,
         ),
     }
+    if dae.limits:
+        margins = ca.densify(every[nx + ny :])
+        functions["margins"] = ca.Function("f", [dae.t, read, dae.u, c], [margins], _CSE)
     sizes = {"NX": nx, "NU": dae.u.numel(), "NP": dae.p.numel(), "NC": c.numel()}
     sizes |= {"NN": len(needed), "NY": ny, "NL": len(dae.limits)}
     places = ", ".join(map(str, needed)) or "0"
@@ -150,7 +153,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             *(vector_text(function, name) for name, function in functions.items()),
             dop853_sums(LANES),
             "static const LaneModel model = {",
-            "    constants, rhs, observe, model_needed,",
+            f"    constants, rhs, observe, {'margins' if dae.limits else 'NULL'}, model_needed,",
             f"    {', '.join(NAMES)}",
             "};",
         )

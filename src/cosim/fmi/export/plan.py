@@ -72,8 +72,7 @@ class Plan:
     @property
     def indicators(self) -> int:
         """Number of event indicators, which are its last outputs."""
-        margins = len(self.dae.limits) if self.options.valid else 0
-        return margins + (self.system.of_time.count(False) if self.system else 0)
+        return len(self.dae.limits) + (self.system.of_time.count(False) if self.system else 0)
 
     @property
     def watches_steps(self) -> bool:
@@ -135,6 +134,7 @@ PARTS = (
         lambda plan: plan.system is not None,
         ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
     ),
+    Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h",)),
     Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,
@@ -155,8 +155,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         dae = replace(dae.watching(outputs), observed=outputs)
     tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
     solver = solver_for(dae, options.solver)
-    if options.valid:
-        dae = with_margins(dae)
+    dae = with_margins(dae, valid=options.valid)
     embedded = embedded_sources(dae)
     tunable = tunable_parameters(dae, tunable)
     system = fmu_events(dae)

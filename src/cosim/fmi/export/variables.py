@@ -143,22 +143,29 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
     return f"{unit}/s", rate
 
 
-def with_margins(dae: Dae) -> Dae:
+def with_margins(dae: Dae, *, valid: bool) -> Dae:
     """Return the DAE with the margin of each validity condition as an additional output.
 
     A margin is positive while its condition holds. The margins are not observed: in an FMU they are
     local variables, which serve as event indicators.
 
+    Args:
+        dae: The model.
+        valid: Whether there is an output `valid`, too.
+
     Raises:
         UsageError: The model has no validity conditions, or uses a reserved variable name.
     """
     names = [f"{VALID}_margin_{i}" for i in range(1, len(dae.limits) + 1)]
-    if not names:
+    if valid and not names:
         raise UsageError(
             f"{dae.full_name} declares no validity conditions; leave out the output 'valid'"
         )
-    for taken in {v.name for v in dae.variables} & {VALID, *names}:
+    own = {v.name for v in dae.variables}
+    for taken in own & {*names, *([VALID] if valid else [])}:
         raise UsageError(f"{dae.full_name} has a variable '{taken}' of its own; rename it")
+    if not names:
+        return dae
     variables = (
         Variable(name, "1", f"positive while {meaning}", start_kind=Start.CALCULATED)
         for name, (_, meaning) in zip(names, dae.limits, strict=True)

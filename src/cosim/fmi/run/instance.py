@@ -17,7 +17,7 @@ from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.archive import DESCRIPTION, flat_names
 from cosim.fmi.run.arrays import Access, Element
 from cosim.host.temporary import loads_no_library
-from cosim.text import sentence
+from cosim.text import Violation, sentence
 
 
 class Interface(StrEnum):
@@ -43,6 +43,7 @@ _CLOSER = "a singularity, or more steps than one call allows: closer output time
 _MOST_UPDATES = 1000  # of discrete states at one instant
 _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
+_LEFT = re.compile(r": invalid from (\S+) s: (.+)$")  # of these, too
 _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "getContinuousStateDerivatives": "getDerivatives",
     "getFloat64": "getReal",
@@ -273,7 +274,7 @@ def instantiated(
     Raises:
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
-    log, events = list[str](), list[tuple[float, str]]()
+    log, events, violations = list[str](), list[tuple[float, str]](), list[Violation]()
 
     def collect(*arguments: Any) -> None:
         """Keep the message, the last argument in every version of the FMI, unless all is well."""
@@ -281,6 +282,8 @@ def instantiated(
         words = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
         if status != _OK:
             log.append(words)
+            if left := _LEFT.search(words):
+                violations.append(Violation(float(left[1]), left[2]))
         elif event := _EVENT.search(words):
             events.append((float(event[1]), event[2]))
 
@@ -290,7 +293,7 @@ def instantiated(
         advice = [_FEWER_STEPS] if _TOO_MANY_STEPS in reason else []
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
             advice.append(_CLOSER)
-        reasons = dict.fromkeys(map(sentence, (reason, *last, *advice)))
+        reasons = dict.fromkeys(map(sentence, (reason, *violations[:1], *last, *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}")
 
     key = next(_KEYS)
@@ -303,6 +306,7 @@ def instantiated(
             raise explained(error) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
+        instance.violations = violations
         yield instance, explained
 
 

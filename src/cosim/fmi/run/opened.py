@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from enum import StrEnum
 from math import isfinite
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -35,6 +36,7 @@ from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
+from cosim.text import Violation
 from cosim.trajectory import Event, Trajectory
 
 
@@ -79,6 +81,7 @@ class OpenedFmu:
         instance, explained = self.ready()
         instance.logged_events.clear()
         instance.log_texts.clear()
+        instance.violations.clear()
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
@@ -91,6 +94,12 @@ class OpenedFmu:
         done = perf_counter()
         if (end := found.stats.get("stop_time")) is not None:
             found.stats["stop"] = f"{why_it_ended(instance.log_texts)} from {end:.12g} s on"
+        first = dict[str, Violation]()  # of each condition
+        for violation in sorted(instance.violations, key=attrgetter("time")):
+            first.setdefault(violation.what, violation)
+        if first:
+            invalid = [*first.values()]
+            found.stats.update(invalid=invalid, invalid_from=invalid[0].time)
         stats = {
             **found.stats,
             "solver": f"{master} {self.interface}",

@@ -14,7 +14,7 @@ from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName
 from cosim.host.optional_packages import optional_module
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
-from cosim.text import MOST_LINES, Table, invalidity, sentence, text_table
+from cosim.text import MOST_LINES, Table, sentence, short_reason, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class Ensemble:
 
     def reason(self, i: int) -> str:
         """Return why a run is not complete or from when on it is invalid; "" if neither."""
-        return invalidity(self.reasons.get(i, self.invalid.get(i, "")))
+        return short_reason(self.reasons.get(i, self.invalid.get(i, "")))
 
     def summary(self) -> Table:
         """Return the smallest and largest value of each quantity, of the rows of all runs."""

@@ -23,7 +23,7 @@ from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
 from cosim.model.values import Values, own_sizes
-from cosim.text import invalid_from
+from cosim.text import Violation, violated
 
 CAUSES = {  # by code of the library
     1: "too many steps",
@@ -37,9 +37,9 @@ HALTED, OUTSIDE = 5, 6
 
 # Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
 # ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
-# of the tolerance; outside: position of the first output time that violates a validity condition,
-# -1 for none; limit: position of that condition.
-_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "outside", "limit")
+# of the tolerance; left: time from which a validity condition is violated, s, infinite for none;
+# limit: position of that condition.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit")
 _REPORT = np.dtype([(name, float) for name in _FIELDS])
 
 
@@ -141,7 +141,7 @@ def run_lanes(
         raise MemoryError("not enough memory for one run in each lane; use fewer output times")
     first = min(int(following[0]), runs)  # the first run that no lane has begun
     report[first:] = 0
-    report["code"][first:], report["outside"][first:] = HALTED, -1
+    report["code"][first:], report["left"][first:] = HALTED, np.inf
     values[first:] = np.nan
     return values, report, perf_counter() - began
 
@@ -239,11 +239,11 @@ def _unlimited(dae: Dae) -> Dae:
 
 def batch_outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, str, str]:
     """Return how a run in lanes ended, why, and the violated validity condition with its time."""
-    code, good, at = (int(report[name]) for name in ("code", "good", "outside"))
+    code, good, left = int(report["code"]), int(report["good"]), float(report["left"])
     outside = ""
-    if at >= 0:
+    if left < np.inf:
         meaning = dae.limits[int(report["limit"])][1]
-        outside = invalid_from(grid[at], meaning)
+        outside = Violation(left, violated(meaning))
     if not code:
         return RunState.COMPLETE, "", outside
     last = f"{grid[good - 1]:g} s" if good else "the start"

@@ -35,7 +35,6 @@ from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import assign, numbers_of
-from cosim.text import INVALID
 from cosim.trajectory import Column, Trajectory
 
 
@@ -179,6 +178,7 @@ def _one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         len(values),
         lambda given: run(replace(request, values=given)),
         values.refused,
+        stops=request.policy.on_invalid is OnInvalid.STOP,
     )
 
 
@@ -190,6 +190,8 @@ def one_by_one(
     runs: int,
     simulate: Callable[[dict[str, float]], Trajectory],
     refused: Mapping[int, str],
+    *,
+    stops: bool,
 ) -> Ensemble:
     """Simulate every run, whatever becomes of the others.
 
@@ -201,6 +203,7 @@ def one_by_one(
         runs: Number of runs.
         simulate: Simulates with values by name.
         refused: Why runs are not possible, by position.
+        stops: Whether a run ends when a validity condition is violated.
     """
     interrupted = False
     table = np.full((runs, len(time), len(columns)), np.nan)
@@ -223,7 +226,7 @@ def one_by_one(
                 continue
             found = cast(Trajectory, error.partial)
             reasons[number] = found.status
-            if INVALID in found.status:
+            if stops and "invalid" in found.stats:
                 states[number] = RunState.STOPPED
         except Interrupted as error:
             found, interrupted = cast(Trajectory, error.partial), True

@@ -32,7 +32,6 @@ from cosim.drawing.pose import Poses
 from cosim.drawing.rotation import to_matrices
 from cosim.errors import MissingTool
 from cosim.series.samples import Column, resample
-from cosim.text import violation
 from cosim.trajectory import Trajectory
 
 _SCRIPTS = ("scene.js", "curves.js", "live.js", "player.js")
@@ -197,7 +196,7 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
         "shapes": [number for shape in shapes for number in shape],
         "events": [[event.time, event.name] for event in run.events],
         "invalid_from": played.invalid_from if isfinite(played.invalid_from) else None,
-        "reasons": [violation(reason) for reason in played.reasons],
+        "reasons": [getattr(reason, "what", reason) for reason in played.reasons],
         "stopped": run.status != "complete",
     }
 

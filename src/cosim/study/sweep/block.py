@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.study.sweep.reductions import Function, Keep, Moments, moments_of
 from cosim.study.sweep.subject import Subject
-from cosim.text import invalidity
+from cosim.text import short_reason
 
 STATES = tuple(RunState)  # a state is stored as its position here
 COMPLETE = STATES.index(RunState.COMPLETE)
@@ -98,7 +98,7 @@ class Job:
             states,
             ensemble.steps,
             ensemble.reached,
-            {first + i: invalidity(reason) for i, reason in sorted(reasons.items())},
+            {first + i: short_reason(reason) for i, reason in sorted(reasons.items())},
             numbers,
             ensemble.values,
         )

@@ -206,10 +206,10 @@ class FmuSubject:
             if len(run) != len(time) and "stop" not in run.stats:
                 raise FmuError(f"it recorded {len(run)} of {len(time)} output times")
             note = {"invalid": (run.stats["note"],)} if "note" in run.stats else {}
-            return replace(run, stats={**run.stats, **note})
+            return replace(run, stats={**note, **run.stats})
 
         runs, own = len(next(iter(columns.values()))), self.columns(outputs)
-        found = one_by_one(self.name, time, own, columns, runs, simulate, {})
+        found = one_by_one(self.name, time, own, columns, runs, simulate, {}, stops=False)
         stats = {"solver": f"fmpy {self._fmu.interface}", "wall_time": perf_counter() - began}
         return replace(found, stats=stats)
 
