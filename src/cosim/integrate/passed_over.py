@@ -7,6 +7,7 @@ integral of their rates. Where it does not, it is computed again with steps that
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,7 +20,9 @@ from casadi_models.dae import Dae
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
+from cosim.codegen.changes import changing_parts, merged
 from cosim.codegen.functions import equations
+from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.pulses import parted
 from cosim.integrate.motion import Motion
 from cosim.memo import cached_per_thread
@@ -29,11 +32,8 @@ Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of st
 
 _EFFECT = 100.0  # least defect of a state that matters, in relative tolerances
 _PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
-_STRAIGHT = 0.05  # distance of a term from a line, as a share of its range
-_FLAT = 1e-3  # change of a resting term in a part, as a share of its range
 _BEYOND = 0.05  # of a way, by which rows may miss its ends
-_MOST_CELLS, _DEEPEST = 4_000, 50  # parts of a way; halvings of them
-_SAMPLES = 64  # of a cell, of a term without bounds
+_MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
 _INNER = 64  # intervals of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
@@ -55,6 +55,21 @@ class _Terms:
     values: ca.Function
     bends: ca.Function
     bounded: tuple[bool, ...]
+
+    def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
+        """Return a term as a function of what moves."""
+        return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
+
+    def bend(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
+        """Return bounds of the size of its second derivative, from begins and lengths."""
+
+        def bound(begins: Vector, lengths: Vector) -> Vector:
+            ends = self.bends(begins[None], lengths[None], p)
+            return np.asarray(
+                np.abs([np.array(end)[term, : len(begins)] for end in ends]).max(axis=0)
+            )
+
+        return bound
 
     def path(self, motion: Motion) -> Vector:
         """Return the values of what moves at the times of a motion, (n,)."""
@@ -174,56 +189,11 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
     edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
-    for term in range(len(terms.bounded)):
-        first = len(found)
-        for a, b in _moving(terms, term, edges, p):
-            if len(found) > first and a - found[-1][2] <= edges[1] - edges[0]:
-                found[-1] = (term, found[-1][1], b)
-            else:
-                found.append((term, a, b))
+    for term, bounded in enumerate(terms.bounded):
+        values, bend = terms.value(term, p), terms.bend(term, p) if bounded else None
+        parts = merged(changing_parts(values, bend, edges).parts, edges[1] - edges[0])
+        found += [(term, *part) for part in parts]
     return found
-
-
-def _moving(terms: _Terms, term: int, edges: Vector, p: Vector) -> list[tuple[float, float]]:
-    """Return parts of cells in which a term is no line, and changes there."""
-
-    def values(at: Vector) -> Vector:
-        return np.asarray(np.array(terms.values(at[None], p))[term, : len(at)])  # of none: one
-
-    ends = values(edges)
-    if not np.isfinite(ends).any():
-        return []
-    low, high = np.nanmin(ends), np.nanmax(ends)
-    begins, widths, leaves = edges[:-1], np.diff(edges), list[tuple[Vector, Vector]]()
-    if not terms.bounded[term]:
-        at = begins[:, None] + widths[:, None] * np.arange(_SAMPLES + 1) / _SAMPLES
-        seen = values(at.ravel()).reshape(at.shape)
-        line = seen[:, :1] + (seen[:, -1:] - seen[:, :1]) * np.arange(_SAMPLES + 1) / _SAMPLES
-        sharp = np.abs(seen - line).max(axis=1) > _STRAIGHT * np.ptp(seen)
-        begins, widths = at[sharp][:, :-1].ravel(), np.repeat(widths[sharp] / _SAMPLES, _SAMPLES)
-        leaves.append((begins, widths))
-        low, high, begins = seen.min(), seen.max(), begins[:0]
-    for level in range(_DEEPEST):
-        if not len(begins) or len(begins) > _MOST_CELLS:
-            break
-        bounds = terms.bends(begins[None], widths[None], p)
-        bend = np.abs([np.array(end)[term] for end in bounds]).max(axis=0)
-        sharp = ~(bend * widths**2 / 8 <= _STRAIGHT * (high - low))
-        if level:
-            leaves.append((begins[~sharp], widths[~sharp]))
-        halves = np.repeat(widths[sharp] / 2, 2)
-        begins = np.repeat(begins[sharp], 2)
-        begins[1::2] += halves[1::2]
-        widths = halves
-        inner = values(begins[1::2])
-        low, high = np.nanmin([low, *inner]), np.nanmax([high, *inner])
-    if not leaves:
-        return []
-    begins, widths = (np.concatenate(parts) for parts in zip(*leaves, strict=True))
-    order = np.argsort(begins)
-    begins, finish = begins[order], (begins + widths)[order]
-    changes = np.abs(values(finish) - values(begins)) > _FLAT * (high - low)
-    return list(zip(begins[changes].tolist(), finish[changes].tolist(), strict=True))
 
 
 def _places(motion: Motion, terms: _Terms, term: int, low: float, high: float) -> list[Place]:
@@ -261,15 +231,25 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
         at = at[: (len(at) - 1) // 4 * 4 + 1]
         if len(at) < 5:
             continue
-        t, x, z = motion.time[at], motion.states[:, at], motion.algebraics[:, at]
-        u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, at]
-        rates = np.array(equations(motion.dae)(t[None], x, z, u, p)[0])
+        t, x = motion.time[at], motion.states[:, at]
+        rates = _rates(motion, at, p)
         h = (t[-1] - t[0]) / (len(t) - 1)
         fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
         off = np.abs(x[:, -1] - x[:, 0] - fine)
         if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
+
+
+def _rates(motion: Motion, rows: Vector, p: Vector) -> Vector:
+    """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
+    t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]
+    if len(z):  # the solver's own are interpolated between its steps
+        with suppress(RuntimeError):  # CasADi's factorization meets a singular matrix
+            solved = np.array(algebraic_function(motion.dae)(t, x, z, u, p))
+            z = np.where(np.isfinite(solved).all(axis=0), solved, z)
+    return np.array(equations(motion.dae)(t, x, z, u, p)[0])
 
 
 def _simpson(rows: Vector, h: float) -> Vector:
