@@ -79,7 +79,7 @@ def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
     moving |= {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
     roots = [*_elements(dae.ode), *_elements(dae.alg)]
     nodes, found = dict[int, _Node](), dict[int, _Node]()
-    for key, value, keys in _postorder(roots):
+    for key, value, keys in in_postorder(roots):
         operands = [nodes[k] for k in keys]
         if operands:
             nodes[key] = _combined(value, operands, through_calls=through_calls)
@@ -121,7 +121,7 @@ def _elements(column: SX) -> list[SX]:
     return [column[i] for i in range(column.numel())] if column.numel() else []
 
 
-def _postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
+def in_postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
     """Yield every node of expressions once, after its operands: its hash, itself, their hashes."""
     seen = set[int]()
     waiting = [(root.element_hash(), root, list[int](), False) for root in reversed(roots)]

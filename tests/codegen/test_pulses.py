@@ -125,7 +125,7 @@ def test_fmu_warns_of_a_parameter_that_moves_a_pulse(tmp_path):
         debug_logging=True,
         logger=lambda *message: said.append(message[-1]),
     )
-    assert any(b"middle moves a short pulse" in message for message in said)
+    assert any(b"middle moves a short change" in message for message in said)
 
 
 def test_variants_see_pulses():
