@@ -122,3 +122,33 @@ def test_a_bump_that_an_algebraic_unknown_follows_is_seen(solver):
     run = cosim.simulate(model.freeze(), solver=solver)
     right = after_an_impulse(HEIGHT * 1e-3 * np.sqrt(np.pi))
     assert abs(run["y"][-1] / right - 1) < 1e-4  # measured 6e-6; before: 1
+
+
+def moved_bump(**more):
+    place, t, x = SX.sym("place"), SX.sym("t"), SX.sym("x", 3)
+    bump = HEIGHT * ca.exp(-(((x[0] - place) / 1e-3) ** 2))
+    ode = ca.vertcat(SPEED, x[2], -25 * (x[1] - bump) - x[2])
+    laws = {"t": t, "x": x, "ode": ode, "p": place}
+    return cosim.from_casadi(laws, {"place": PLACE}, name="moved", stop_time=7, **more)
+
+
+def test_many_runs_see_the_bump_of_each():
+    places = np.array([PLACE, 33.3, 60.1])
+    many = cosim.simulate_many(moved_bump(output_interval=0.5), {"place": places})
+    area = HEIGHT * 1e-3 * np.sqrt(np.pi)
+    right = [after_an_impulse(area, place) for place in places]
+    np.testing.assert_allclose(many["x_2"][:, -1], right, rtol=1e-3)  # before: 0 in lanes
+
+
+@pytest.mark.parametrize(("step", "noted"), [(0.1, True), (1e-5, False)])
+def test_equal_steps_that_pass_over_a_bump_are_noted(step, noted):
+    dae = moved_bump(output_interval=0.5)
+    span = {"start_time": 0.0, "stop_time": 0.2}
+    start = {"x_1": PLACE - 1}
+    run = cosim.simulate(dae, solver="rk4", step_size=step, start_values=start, **span)
+    assert ("a term of x_1 near 0.0997" in run.stats.get("note", "")) == noted
+
+
+def test_an_integrator_warns_of_a_bump():
+    with pytest.warns(UserWarning, match="a term of x_1 changes in a small part"):
+        cosim.integrator(moved_bump(), [0.0, 7.0])

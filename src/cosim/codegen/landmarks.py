@@ -36,14 +36,21 @@ class Landmarks:
     Attributes:
         arguments: Expressions of states and parameters that change their signs there, (n, 1).
         times: Those of time, s, ascending; at the start values of the parameters.
+        moving: Names of the states with such terms; "time" for those of time.
         given: Names of the parameters that move places in another way than these follow.
         passed: Names of the states with more places than are followed.
     """
 
     arguments: SX
     times: Vector
+    moving: tuple[str, ...]
     given: tuple[str, ...]
     passed: tuple[str, ...]
+
+    @property
+    def exist(self) -> bool:
+        """Whether terms change that a step may pass over."""
+        return bool(self.moving)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,21 +76,22 @@ def landmarks(dae: Dae) -> Landmarks:
             key = term.variable.element_hash(), change.places.tobytes()
             changes.setdefault(term.moving, {}).setdefault(key, change)
     rows, times, given, passed = list[SX](), [np.empty(0)], set[str](), list[str]()
+    names, found = [*(state.name for state in dae.states), "time"], list[str]()
     for moving, own in changes.items():
         steps = sum(change.is_step for change in own.values())
         needed = [change for change in own.values() if not change.is_step or steps > 1]
+        found += [names[moving]] if needed else []
         if moving == len(dae.states):
             times += [_times(dae, change, p) for change in needed]
             continue
         if sum(len(change.places) for change in needed) > _MOST:
-            passed.append(dae.states[moving].name)
+            passed.append(names[moving])
         else:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = ca.densify(ca.vertcat(SX(0, 1), *rows))
-    return Landmarks(
-        arguments, np.unique(np.concatenate(times)), tuple(sorted(given)), tuple(passed)
-    )
+    every = np.unique(np.concatenate(times))
+    return Landmarks(arguments, every, tuple(found), tuple(sorted(given)), tuple(passed))
 
 
 def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:

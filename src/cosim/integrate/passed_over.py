@@ -7,7 +7,6 @@ integral of their rates. Where it does not, it is computed again with steps that
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,10 +20,8 @@ from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
 from cosim.codegen.changes import changing_parts, merged
-from cosim.codegen.functions import equations
-from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.pulses import parted
-from cosim.integrate.motion import Motion
+from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
 
@@ -143,8 +140,20 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
     motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
         return motion
-    text = f"steps may pass over a change of {_name(plain.dae, passed[0])}; set max_step"
-    return replace(motion, note=text)
+    return replace(motion, note=f"{_passing(plain.dae, passed[0])}; set max_step")
+
+
+def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
+    """Return the motion of equal steps, with a note if a term changes within a part of one."""
+    if len(motion.time) < 2 or motion.reason:
+        return motion
+    steps = min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
+    for terms in _terms_of(motion.dae):
+        for term, low, high in _bends(terms, motion, p, steps):
+            for place in _places(motion, terms, term, low, high):
+                text = f"{_passing(motion.dae, place)}; set a smaller step_size"
+                return replace(motion, note=text)
+    return motion
 
 
 def _sizes(motion: Motion) -> Vector:
@@ -158,9 +167,10 @@ def _apart(found: list[Place], known: list[Place]) -> list[Place]:
     return [p for p in found if not ((begins < p.end) & (p.begin < ends)).any()]
 
 
-def _name(dae: Dae, place: Place) -> str:
+def _passing(dae: Dae, place: Place) -> str:
     names = [*(state.name for state in dae.states), "time"]
-    return f"a term of {names[place.terms.moving]} near {place.begin:.9g} s"
+    moving = names[place.terms.moving]
+    return f"steps may pass over a change of a term of {moving} near {place.begin:.9g} s"
 
 
 def _inside(grid: Vector, times: list[Vector]) -> Vector:
@@ -232,24 +242,13 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
         if len(at) < 5:
             continue
         t, x = motion.time[at], motion.states[:, at]
-        rates = _rates(motion, at, p)
+        rates = rates_at(motion, at, p)
         h = (t[-1] - t[0]) / (len(t) - 1)
         fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
         off = np.abs(x[:, -1] - x[:, 0] - fine)
         if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
-
-
-def _rates(motion: Motion, rows: Vector, p: Vector) -> Vector:
-    """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
-    t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
-    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]
-    if len(z):  # the solver's own are interpolated between its steps
-        with suppress(RuntimeError):  # CasADi's factorization meets a singular matrix
-            solved = np.array(algebraic_function(motion.dae)(t, x, z, u, p))
-            z = np.where(np.isfinite(solved).all(axis=0), solved, z)
-    return np.array(equations(motion.dae)(t, x, z, u, p)[0])
 
 
 def _simpson(rows: Vector, h: float) -> Vector:
