@@ -8,7 +8,7 @@ import numpy as np
 from cosim.arrays import Vector
 
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
-_FLAT = 1e-3  # change of a resting function in a part, as a share of its range
+FLAT = 1e-3  # change of a resting function in a part, as a share of its range
 _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
 _SAMPLES = 64  # of a cell, without bounds
 
@@ -87,7 +87,7 @@ def _changing(
 ) -> list[tuple[float, float]]:
     if not len(begins):
         return []
-    changes = np.abs(values(ends) - values(begins)) > _FLAT * size
+    changes = np.abs(values(ends) - values(begins)) > FLAT * size
     return list(zip(begins[changes].tolist(), ends[changes].tolist(), strict=True))
 
 

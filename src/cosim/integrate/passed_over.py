@@ -8,6 +8,7 @@ integral of their rates. Where it does not, it is computed again with steps that
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
 from cosim.codegen.changes import changing_parts, merged
 from cosim.codegen.pulses import parted
+from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
@@ -68,18 +70,22 @@ class _Terms:
 
         return bound
 
+    def along(self, term: int, p: Vector, motion: Motion, times: Vector) -> Vector:
+        """Return a term at times of a motion, (n,)."""
+        return self.value(term, p)(np.interp(times, motion.time, self.path(motion)))
+
     def path(self, motion: Motion) -> Vector:
         """Return the values of what moves at the times of a motion, (n,)."""
         return np.asarray(np.vstack((motion.states, motion.time))[self.moving])
 
 
 class Place(NamedTuple):
-    """Where a term bends: times, s, the terms of what moves, and its position among them."""
+    """Where a term bends: times, s, what moves it, and its values at times of a motion."""
 
     begin: float
     end: float
-    terms: _Terms
-    term: int
+    name: str
+    values: Callable[[Motion, Vector], Vector]
 
     @property
     def times(self) -> Vector:
@@ -112,23 +118,14 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         tolerance: Relative tolerance of the solver.
     """
     plain = attempt(grid, np.empty(0))
-    every = [] if plain.reason or len(plain.time) < 2 else _terms_of(plain.dae)
     steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
-    if not every or not (few or any(_bends(terms, plain, p, steps) for terms in every)):
+    if plain.reason or len(plain.time) < 2 or not _has_terms(plain.dae):
         return plain
-    rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
+    rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
+    motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
     for _ in range(_MOST_ROUNDS):
-        motion = attempt(np.union1d(grid, rows), ends)
-        least = _EFFECT * tolerance * _sizes(motion)
-        passed = [place for place in places if _is_passed(motion, place, p, least)]
-        found = [
-            place
-            for terms in every
-            for term, low, high in _bends(terms, motion, p, steps)
-            for place in _places(motion, terms, term, low, high)
-        ]
-        new = _apart(found, places)
+        new = _apart(_found(motion, p, steps), places)
         if motion.reason or not (passed or new):
             break
         places += new
@@ -136,11 +133,47 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
             passed = passed or new
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
-        ends = _inside(grid, [ends, *(_divided(motion, place, ends, p) for place in passed)])
+        divided = [_divided(motion, place, ends) for place in passed]
+        ends = _inside(grid, [ends, *divided])
+        motion = attempt(np.union1d(grid, rows), ends)
+        least = _EFFECT * tolerance * _sizes(motion)
+        passed = [place for place in places if _is_passed(motion, place, p, least)]
+        if not (passed or divided):
+            break  # the motion is the one that has been searched
     motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
+        return _with_note_on_unbounded(motion)
+    return replace(motion, note=f"{_passing(passed[0])}; set max_step")
+
+
+def _has_terms(dae: Dae) -> bool:
+    return bool(_terms_of(dae)) or several_terms_of(dae) is not None
+
+
+def _found(motion: Motion, p: Vector, steps: int) -> list[Place]:
+    """Return where terms bend within a part of an average step."""
+    names = [*(state.name for state in motion.dae.states), "time"]
+    found = list[Place]()
+    for terms in _terms_of(motion.dae):
+        for term, low, high in _bends(terms, motion, p, steps):
+            values = partial(terms.along, term, p)
+            times = _times(motion, terms, low, high)
+            found += [Place(*span, names[terms.moving], values) for span in times]
+    several = several_terms_of(motion.dae)
+    if several is None:
+        return found
+    for term, begin, end in excursions(several, motion, p, steps):
+        values = partial(several.along, term, p)
+        found.append(Place(begin, end, several.names[term], values))
+    return found
+
+
+def _with_note_on_unbounded(motion: Motion) -> Motion:
+    terms = several_terms_of(motion.dae)
+    if terms is None or not terms.unbounded:
         return motion
-    return replace(motion, note=f"{_passing(plain.dae, passed[0])}; set max_step")
+    text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set max_step"
+    return replace(motion, note=text)
 
 
 def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
@@ -148,12 +181,10 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     if len(motion.time) < 2 or motion.reason:
         return motion
     steps = min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
-    for terms in _terms_of(motion.dae):
-        for term, low, high in _bends(terms, motion, p, steps):
-            for place in _places(motion, terms, term, low, high):
-                text = f"{_passing(motion.dae, place)}; set a smaller step_size"
-                return replace(motion, note=text)
-    return motion
+    found = _found(motion, p, steps) if _has_terms(motion.dae) else []
+    if not found:
+        return motion
+    return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
 
 
 def _sizes(motion: Motion) -> Vector:
@@ -167,10 +198,8 @@ def _apart(found: list[Place], known: list[Place]) -> list[Place]:
     return [p for p in found if not ((begins < p.end) & (p.begin < ends)).any()]
 
 
-def _passing(dae: Dae, place: Place) -> str:
-    names = [*(state.name for state in dae.states), "time"]
-    moving = names[place.terms.moving]
-    return f"steps may pass over a change of a term of {moving} near {place.begin:.9g} s"
+def _passing(place: Place) -> str:
+    return f"steps may pass over a change of a term of {place.name} near {place.begin:.9g} s"
 
 
 def _inside(grid: Vector, times: list[Vector]) -> Vector:
@@ -206,21 +235,17 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
     return found
 
 
-def _places(motion: Motion, terms: _Terms, term: int, low: float, high: float) -> list[Place]:
-    """Return when what moves is between two values, on lines between rows."""
+def _times(motion: Motion, terms: _Terms, low: float, high: float) -> list[tuple[float, float]]:
+    """Return when what moves is between two values, on lines between rows: begins and ends, s."""
     t, x = motion.time, terms.path(motion)
-    found = list[Place]()
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (np.array([[low], [high]]) - x[:-1]) / np.diff(x)
     first = np.clip(shares.min(axis=0), 0, 1)
     last = np.clip(shares.max(axis=0), 0, 1)
-    for k in np.flatnonzero(first < last):
-        begin, end = (float(t[k] + share * (t[k + 1] - t[k])) for share in (first[k], last[k]))
-        if found and begin <= found[-1].end:
-            found[-1] = found[-1]._replace(end=end)
-        else:
-            found.append(Place(begin, end, terms, term))
-    return [place for place in found if place.begin < place.end]
+    within = np.flatnonzero(first < last)
+    begins, ends = (t[within] + s[within] * np.diff(t)[within] for s in (first, last))
+    found = merged(list(zip(begins.tolist(), ends.tolist(), strict=True)), 0)
+    return [(begin, end) for begin, end in found if begin < end]
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
@@ -256,12 +281,11 @@ def _simpson(rows: Vector, h: float) -> Vector:
     return np.asarray(h / 3 * (ends + 4 * odd.sum(axis=1) + 2 * even.sum(axis=1)))
 
 
-def _divided(motion: Motion, place: Place, ends: Vector, p: Vector) -> Vector:
+def _divided(motion: Motion, place: Place, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
     known = ends[(t[0] <= ends) & (ends <= t[-1])]
     if len(known) > 1:
         return np.asarray((known[:-1] + known[1:]) / 2)
-    x = np.interp(t, motion.time, place.terms.path(motion))
-    values = np.array(place.terms.values(x[None], p))[place.term]
+    values = place.values(motion, t)
     return parted(t, values, float(np.ptp(values)))
