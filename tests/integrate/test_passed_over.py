@@ -180,3 +180,9 @@ def test_a_table_of_two_states_is_named():
     dae = cosim.from_casadi(laws, name="ground", stop_time=1, output_interval=0.1)
     run = cosim.simulate(dae, solver="dop853")
     assert "may pass over changes of a term of x_1, x_2" in run.stats["note"]
+
+
+def test_info_names_the_terms_whose_changes_are_found():
+    facts = cosim.info(moved_bump()).facts
+    assert facts["changes of terms, found in steps"] == "of x_1"
+    assert not any("changes of terms" in name for name in cosim.info("bicycle").facts)

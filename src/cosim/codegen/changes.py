@@ -33,7 +33,7 @@ NOTHING = Changes([], np.nan, np.nan, is_whole=False)
 
 def changing_parts(
     values: Callable[[Vector], Vector],
-    bend: Callable[[Vector, Vector], Vector] | None,
+    bend: Callable[[Vector, Vector], Vector],
     edges: Vector,
 ) -> Changes:
     """Return where a function bends within cells of its variable.
@@ -41,15 +41,13 @@ def changing_parts(
     Args:
         values: Returns the function at values of the variable.
         bend: Returns bounds of the size of the second derivative, from the begins of cells and
-            their widths; None if they are unknown, and the function is sampled.
+            their widths.
         edges: Ends of the cells, ascending.
     """
     ends = values(edges)
     if not np.isfinite(ends).any():
         return NOTHING
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
-    if bend is None:
-        return _sampled(values, edges)
     begins, widths = edges[:-1], np.diff(edges)
     least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
     off = _off(bend, begins, widths)
@@ -98,14 +96,18 @@ def changes_between(values: Callable[[Vector], Vector], knots: Vector) -> Change
     return Changes(_changing(values, knots[:-1], knots[1:], high - low), low, high, is_whole=True)
 
 
-def _sampled(values: Callable[[Vector], Vector], edges: Vector) -> Changes:
-    shares = np.arange(_SAMPLES + 1) / _SAMPLES
-    at = edges[:-1, None] + np.diff(edges)[:, None] * shares
-    seen = values(at.ravel()).reshape(at.shape)
-    line = seen[:, :1] + (seen[:, -1:] - seen[:, :1]) * shares
-    bent = at[np.abs(seen - line).max(axis=1) > _STRAIGHT * np.ptp(seen)]
-    begins, ends, size = bent[:, :-1].ravel(), bent[:, 1:].ravel(), float(np.ptp(seen))
-    parts = _changing(values, begins, ends, size)
+def sampled_changes(values: Callable[[Vector], Vector], edges: Vector, knots: Vector) -> Changes:
+    """Return where a function bends within cells as samples show, and its values at its knots."""
+    own = knots[(edges[0] < knots) & (knots < edges[-1])]
+    shares = np.arange(_SAMPLES) / _SAMPLES
+    inner = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
+    at = np.unique(np.concatenate((inner, own, edges)))
+    seen = values(at)
+    size = float(np.ptp(seen))
+    off = np.abs(seen - np.interp(at, edges, np.interp(edges, at, seen))) > _STRAIGHT * size
+    cells = np.clip(edges.searchsorted(at, "right") - 1, 0, len(edges) - 2)
+    bent = np.bincount(cells, off, len(edges) - 1)[cells[:-1]] > 0
+    parts = _changing(values, at[:-1][bent], at[1:][bent], size)
     return Changes(parts, float(seen.min()), float(seen.max()), is_whole=True)
 
 

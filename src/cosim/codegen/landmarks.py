@@ -34,16 +34,19 @@ class Landmarks:
     """Places where terms of single states and of time change.
 
     Attributes:
-        arguments: Expressions of states and parameters that change their signs there, (n, 1).
-        times: Those of time, s, ascending; at the start values of the parameters.
+        arguments: Expressions of states or time, and parameters, that change their signs there,
+            (n, 1).
+        times: Those of time that parameters do not move, s, ascending.
         moving: Names of the states with such terms; "time" for those of time.
-        given: Names of the parameters that move places in another way than these follow.
+        followed: Names of the parameters that places follow.
+        given: Names of the parameters that move places which do not follow them.
         passed: Names of the states with more places than are followed.
     """
 
     arguments: SX
     times: Vector
     moving: tuple[str, ...]
+    followed: tuple[str, ...]
     given: tuple[str, ...]
     passed: tuple[str, ...]
 
@@ -82,16 +85,21 @@ def landmarks(dae: Dae) -> Landmarks:
         needed = [change for change in own.values() if not change.is_step or steps > 1]
         found += [names[moving]] if needed else []
         if moving == len(dae.states):
-            times += [_times(dae, change, p) for change in needed]
-            continue
+            fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
+            times += [way_of(dae, change.term, change.places, p) for change in fixed]
+            needed = [change for change in needed if change not in fixed]
         if sum(len(change.places) for change in needed) > _MOST:
             passed.append(names[moving])
         else:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = ca.densify(ca.vertcat(SX(0, 1), *rows))
+    which = ca.which_depends(arguments, dae.p, 1, False) if rows and dae.parameters else []
+    followed = (v.name for v, depends in zip(dae.parameters, which, strict=False) if depends)
     every = np.unique(np.concatenate(times))
-    return Landmarks(arguments, every, tuple(found), tuple(sorted(given)), tuple(passed))
+    return Landmarks(
+        arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
+    )
 
 
 def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
@@ -112,7 +120,7 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
 
         found = changing_parts(values, bend, edges)
     else:
-        knots = _knots(term)
+        knots = knots_of(term)
         found = changes_between(values, knots) if len(knots) > 1 else NOTHING
     if not found.is_whole:
         return []
@@ -128,14 +136,15 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
     return changes
 
 
-def _times(dae: Dae, change: _Change, p: Vector) -> Vector:
-    """Return the times at which a variable that moves with time has its places, s."""
-    line = [change.term.variable, ca.jacobian(change.term.variable, dae.t)]
-    value, slope = ca.Function("line", [dae.t, dae.p], line)(0, p)
-    return np.asarray((change.places - float(value)) / float(slope))
+def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
+    """Return the values of what moves a term at values of its variable."""
+    symbol = ca.vertcat(dae.x, dae.t)[term.moving]
+    line = [term.variable, ca.jacobian(term.variable, symbol)]
+    value, slope = ca.Function("line", [symbol, dae.p], line)(0, p)
+    return np.asarray((places - float(value)) / float(slope))
 
 
-def _knots(term: InnerTerm) -> Vector:
+def knots_of(term: InnerTerm) -> Vector:
     """Return the knots of the tables of a term in its variable; empty if they are unknown."""
     found = list[Vector]()
     for table, argument in term.tables:

@@ -17,10 +17,12 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import changing_parts, merged
+from cosim.codegen.changes import changing_parts, merged, sampled_changes
+from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.motion import Motion, rates_at
@@ -48,12 +50,14 @@ class _Terms:
         values: `(moving, p) -> terms`, (n,).
         bends: `(moving, length, p) -> bounds of the second derivatives`, both ends, (n,) each.
         bounded: Whether these are known, (n,).
+        tables: The terms that call tables.
     """
 
     moving: int
     values: ca.Function
     bends: ca.Function
     bounded: tuple[bool, ...]
+    tables: tuple[InnerTerm, ...]
 
     def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
         """Return a term as a function of what moves."""
@@ -104,7 +108,9 @@ def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
         ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
         values = ca.Function("values", [s, dae.p], [terms], {"cse": True})
         bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
-        found.append(_Terms(moving, values, bends, tuple(b is not None for b in known)))
+        tables = tuple(t for t in inner_terms(dae) if t.moving == moving and t.tables)
+        bounded = tuple(b is not None for b in known)
+        found.append(_Terms(moving, values, bends, bounded, tables))
     return tuple(found)
 
 
@@ -124,6 +130,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         return plain
     rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
     motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
+    settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
         new = _apart(_found(motion, p, steps), places)
         if motion.reason or not (passed or new):
@@ -135,15 +142,32 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         rows = _inside(grid, [rows, *(place.times for place in new)])
         divided = [_divided(motion, place, ends) for place in passed]
         ends = _inside(grid, [ends, *divided])
-        motion = attempt(np.union1d(grid, rows), ends)
+        before, motion = motion, attempt(np.union1d(grid, rows), ends)
         least = _EFFECT * tolerance * _sizes(motion)
-        passed = [place for place in places if _is_passed(motion, place, p, least)]
+        settled += [place for place in passed if _is_settled(before, motion, place, least)]
+        passed = [
+            place
+            for place in places
+            if place not in settled and _is_passed(motion, place, p, least)
+        ]
         if not (passed or divided):
             break  # the motion is the one that has been searched
     motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
         return _with_note_on_unbounded(motion)
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
+
+
+def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what moves the terms that no step passes over, and those that a step may pass over.
+
+    The names of several quantities of one term are joined by commas.
+    """
+    names = [*(state.name for state in dae.states), "time"]
+    single, several = [names[moving] for moving in single_terms(dae)], several_terms_of(dae)
+    if several is None:
+        return tuple(single), ()
+    return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
 
 
 def _has_terms(dae: Dae) -> bool:
@@ -229,10 +253,20 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
     edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
     for term, bounded in enumerate(terms.bounded):
-        values, bend = terms.value(term, p), terms.bend(term, p) if bounded else None
-        parts = merged(changing_parts(values, bend, edges).parts, edges[1] - edges[0])
+        values = terms.value(term, p)
+        if bounded:
+            changes = changing_parts(values, terms.bend(term, p), edges)
+        else:
+            changes = sampled_changes(values, edges, _knots(motion.dae, terms, p))
+        parts = merged(changes.parts, edges[1] - edges[0])
         found += [(term, *part) for part in parts]
     return found
+
+
+def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:
+    """Return where tables of what moves have their knots."""
+    own = (way_of(dae, term, knots_of(term), p) for term in terms.tables)
+    return np.unique(np.concatenate([np.empty(0), *own]))
 
 
 def _times(motion: Motion, terms: _Terms, low: float, high: float) -> list[tuple[float, float]]:
@@ -274,6 +308,15 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
         if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
+
+
+def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> bool:
+    """Return whether more steps in a place have changed no state after it: all is seen."""
+    last = [motion.time.searchsorted(place.times[-1]) for motion in (before, after)]
+    if last[0] >= len(before.time) or last[1] >= len(after.time):
+        return False
+    changes = np.abs(before.states[:, last[0]] - after.states[:, last[1]])
+    return before.time[last[0]] == after.time[last[1]] and bool((changes <= least).all())
 
 
 def _simpson(rows: Vector, h: float) -> Vector:

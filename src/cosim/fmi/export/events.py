@@ -84,7 +84,8 @@ def event_tables(system: Hybrid | None) -> str:
     if system is None:
         return ""
     pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
-    moving = {*pulse_parameters(system.dae), *landmarks(system.dae).given}
+    known = landmarks(system.dae)
+    moving = {*pulse_parameters(system.dae)} - {*known.followed} | {*known.given}
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     names = [literal(system.described(i)) for i in range(len(system.relations))]
     rules = [literal(event.name) for event in system.events]
