@@ -1,6 +1,7 @@
 """Pulses of time alone that lie between the stages of every solver."""
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 
@@ -144,3 +145,15 @@ def test_longest_step_of_an_fmu_is_kept():
     exact = moved(run.time[run.time > 5.2], 5.0, 0.02)
     assert np.abs(run["x"][run.time > 5.2] - exact).max() < 1e-5  # otherwise 1e-3
     assert execute(request, Backend.MODEL_EXCHANGE).stats["rhs_calls"] >= 10_000  # in 10 s
+
+
+def test_an_fmu_does_not_warn_of_a_parameter_of_a_wave(tmp_path):
+    dae = spring(lambda t, phase: ca.sin(t + phase) + ca.fabs(ca.sin(t)), phase=0.5)
+    path, said = cosim.export_fmu(dae, tmp_path / "x.fmu"), []
+    fmpy.simulate_fmu(
+        path,
+        start_values={"phase": 0.6},
+        debug_logging=True,
+        logger=lambda *message: said.append(message[-1]),
+    )
+    assert not any(b"phase moves" in message for message in said)

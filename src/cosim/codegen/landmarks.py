@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from casadi_models.dae import Dae
+from casadi_models.dae import Dae, Variable
 from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
@@ -87,6 +87,11 @@ def landmarks(dae: Dae) -> Landmarks:
         if moving == len(dae.states):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
             times += [way_of(dae, change.term, change.places, p) for change in fixed]
+            given.update(
+                v.name
+                for c in fixed
+                for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
+            )
             needed = [change for change in needed if change not in fixed]
         if sum(len(change.places) for change in needed) > _MOST:
             passed.append(names[moving])
@@ -94,8 +99,7 @@ def landmarks(dae: Dae) -> Landmarks:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = ca.densify(ca.vertcat(SX(0, 1), *rows))
-    which = ca.which_depends(arguments, dae.p, 1, False) if rows and dae.parameters else []
-    followed = (v.name for v, depends in zip(dae.parameters, which, strict=False) if depends)
+    followed = [v.name for v in _depends(dae, arguments)]
     every = np.unique(np.concatenate(times))
     return Landmarks(
         arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
@@ -134,6 +138,14 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
         step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
         changes.append(_Change(term, places, bool(step)))
     return changes
+
+
+def _depends(dae: Dae, expression: SX) -> list[Variable]:
+    """Return the parameters on which an expression depends."""
+    if not (expression.numel() and dae.parameters):
+        return []
+    which = ca.which_depends(expression, dae.p, 1, False)
+    return [v for v, depends in zip(dae.parameters, which, strict=True) if depends]
 
 
 def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:

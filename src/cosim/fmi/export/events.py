@@ -83,9 +83,10 @@ def event_tables(system: Hybrid | None) -> str:
     """Return the tables of relations, events and pulses for model.c; empty without events."""
     if system is None:
         return ""
-    pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
-    known = landmarks(system.dae)
-    moving = {*pulse_parameters(system.dae)} - {*known.followed} | {*known.given}
+    times, known = fmu_pulses(system.dae), landmarks(system.dae)
+    pulses = [*map(repr, times.tolist()), "0.0"]
+    sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
+    moving = sampled - {*known.followed} | {*known.given}
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     names = [literal(system.described(i)) for i in range(len(system.relations))]
     rules = [literal(event.name) for event in system.events]
