@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
         ("sessions.py --short", "session: save"),
         ("predicted_errors.py crank_shaft --samples 1", "crank_shaft/driven"),
         ("operations.py", "double_pendulum/multipliers"),
+        ("steps.py --short", "cosim dop853              0 (0)"),
         ("structure.py", "files entered"),
     ],
 )

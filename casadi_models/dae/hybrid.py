@@ -18,7 +18,7 @@ from casadi import MX, SX
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import LawsWithModes, Relation, applied, replayed
+from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, applied, replayed
 from casadi_models.dae.time_bounds import TimeBounds, time_bounds
 from casadi_models.dae.variables import Variable
 
@@ -157,6 +157,26 @@ class Hybrid:
         sizes = ca.fabs(ca.jacobian(self.arguments, given)) @ rates
         rows = (sizes[i] * (not alone) for i, alone in enumerate(self.of_time))
         return ca.densify(ca.vertcat(SX(0, 1), *rows))
+
+    def watching_more(self, arguments: SX, operation: str) -> "Hybrid":
+        """Return the equations with further relations, on which no law depends.
+
+        Args:
+            arguments: Expressions of the frozen equations' symbols, (n, 1).
+            operation: What each of them is, for messages.
+        """
+        if not arguments.numel():
+            return self
+        first = len(self.relations)
+        more = [Relation(a, False, KEEPS, operation) for a in ca.vertsplit(arguments)]
+        relations = (*self.relations, *more)
+        modes = [SX.sym(f"mode_{first + i + 1}") for i in range(len(more))]
+        dae = replace(
+            self.dae,
+            u=ca.densify(ca.vertcat(self.dae.u, *modes)),
+            inputs=(*self.dae.inputs, *_mode_inputs(more, first)),
+        )
+        return replace(self, dae=dae, relations=relations, of_time=tuple(_of_time(dae, relations)))
 
     def described(self, i: int) -> str:
         """Return a relation as text, e.g. "sign of v"."""
@@ -385,10 +405,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     if not relations and not dae.events:
         return None
     count = len(dae.inputs)
-    more = tuple(
-        Variable(f"mode_{i + 1}", "1", f"mode of {relation.operation}", 1.0)
-        for i, relation in enumerate(relations)
-    )
+    more = _mode_inputs(relations)
     smooth = replace(
         dae,
         u=ca.densify(ca.vertcat(dae.u, *laws.modes)),
@@ -405,6 +422,13 @@ def hybrid(dae: Dae) -> Hybrid | None:
         for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
     ) if dae.events else ()  # fmt: skip
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
+
+
+def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Variable, ...]:
+    return tuple(
+        Variable(f"mode_{first + i + 1}", "1", f"mode of {relation.operation}", 1.0)
+        for i, relation in enumerate(relations)
+    )
 
 
 def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:

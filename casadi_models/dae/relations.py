@@ -160,14 +160,7 @@ class LawsWithModes:
         ]
         if len(fitting) != 1:
             raise ValueError("equations that call several functions of equal sizes have no events")
-        (called,) = fitting
-        ends = accumulate((called.nnz_in(i) for i in range(called.n_in())), initial=0)
-        column = ca.vertcat(*terms)
-        given = [
-            SX(called.sparsity_in(i), column[begin:end])
-            for i, (begin, end) in enumerate(pairwise(ends))
-        ]
-        return [row for result in called.call(given) for row in _nonzeros(result)]
+        return called(fitting[0], terms)
 
     def _switched(self, code: int, terms: Sequence[SX]) -> SX:
         """Return a relation with a mode, or several, in its place."""
@@ -237,6 +230,17 @@ class LawsWithModes:
         mode = SX.sym(f"mode_{len(self._switches) + len(self._domains) + 1}")
         pairs.append((relation, mode))
         return mode
+
+
+def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
+    """Return the nonzeros of all results of a function, from those of all arguments."""
+    ends = accumulate((function.nnz_in(i) for i in range(function.n_in())), initial=0)
+    column = ca.vertcat(*terms)
+    given = [
+        SX(function.sparsity_in(i), column[begin:end])
+        for i, (begin, end) in enumerate(pairwise(ends))
+    ]
+    return [row for result in function.call(given) for row in _nonzeros(result)]
 
 
 def _nonzeros(matrix: SX) -> list[SX]:

@@ -14,6 +14,9 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
     ca.OP_CONSTPOW, ca.OP_SINH, ca.OP_COSH, ca.OP_TAN, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT,
     ca.OP_CALL,
 }  # fmt: skip
+# Of several quantities; quotients and powers bend near poles, beside which a motion is slow
+_RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
+_MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
 
 
@@ -50,6 +53,31 @@ def single_terms(dae: Dae) -> dict[int, SX]:
     return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
 
 
+def several_terms(dae: Dae) -> SX:
+    """Return the small terms that several quantities move, and that may rest and change.
+
+    Time, states, unknowns and inputs count. Tables and other functions that are called are terms,
+    quotients and powers are not.
+
+    Returns:
+        Expressions of the symbols of the equations, (n, 1).
+    """
+    moving = _moving(dae)
+    nodes, found, sizes = dict[int, _Node](), list[SX](), dict[int, int]()
+    for key, value, keys in in_postorder([*_elements(dae.ode), *_elements(dae.alg)]):
+        operands, sizes[key] = [nodes[k] for k in keys], 1 + sum(sizes[k] for k in keys)
+        if not operands:
+            constant = _NONE if value.is_constant() else _MANY
+            nodes[key] = _leaf(value, moving.get(key, constant))
+            continue
+        nodes[key] = _combined(value, operands, through_calls=True)
+        moves = operands[-1].moving != _NONE
+        narrow = value.op() in _RESTING and moves
+        if narrow and nodes[key].moving == _MANY and sizes[key] <= _MOST_OPERATIONS:
+            found.append(value if value.op() != ca.OP_CALL else value.get_output(0))
+    return ca.densify(ca.vertcat(SX(0, 1), *found))
+
+
 def time_terms(dae: Dae) -> SX:
     """Return the terms of dx/dt and of the algebraic equations that depend on time alone.
 
@@ -74,12 +102,10 @@ def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
         dae: The equations.
         through_calls: Whether a function that is called may be in a term.
     """
-    moving = {symbol.element_hash(): i for i, symbol in enumerate(_elements(dae.x))}
-    moving[dae.t.element_hash()] = dae.x.numel()
-    moving |= {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
+    moving = _moving(dae)
     roots = [*_elements(dae.ode), *_elements(dae.alg)]
     nodes, found = dict[int, _Node](), dict[int, _Node]()
-    for key, value, keys in _postorder(roots):
+    for key, value, keys in in_postorder(roots):
         operands = [nodes[k] for k in keys]
         if operands:
             nodes[key] = _combined(value, operands, through_calls=through_calls)
@@ -90,6 +116,13 @@ def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
             found |= {_key(term): term for operand in operands for term in operand.terms}
     found |= {_key(term): term for root in roots for term in nodes[root.element_hash()].terms}
     return list(found.values())
+
+
+def _moving(dae: Dae) -> dict[int, int]:
+    """Return what moves a symbol, by its hash: see `_Node.moving`."""
+    moving = {symbol.element_hash(): i for i, symbol in enumerate(_elements(dae.x))}
+    moving[dae.t.element_hash()] = dae.x.numel()
+    return moving | {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
 
 
 def _key(node: _Node) -> int:
@@ -121,7 +154,7 @@ def _elements(column: SX) -> list[SX]:
     return [column[i] for i in range(column.numel())] if column.numel() else []
 
 
-def _postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
+def in_postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
     """Yield every node of expressions once, after its operands: its hash, itself, their hashes."""
     seen = set[int]()
     waiting = [(root.element_hash(), root, list[int](), False) for root in reversed(roots)]

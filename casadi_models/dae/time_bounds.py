@@ -65,7 +65,7 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
         rate = ca.jtimes(value, dae.t, 1)
         column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
         try:
-            spans = _spans(column, dae.arguments, length)
+            spans = _spans(column, dae.arguments, _from_here(length))
         except _UnknownError:
             continue
         known.append(i)
@@ -86,20 +86,37 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
     try:
-        (span,) = _spans(ca.densify(second), [moving, *others], length)
+        (span,) = _spans(ca.densify(second), [moving, *others], _from_here(length))
     except _UnknownError:
         return None
     return span.low, span.high
 
 
-def _spans(rows: SX, arguments: Sequence[SX], length: SX) -> list[_Span]:
-    """Return the spans of a column while the first argument goes from its value over a length."""
+def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX, SX] | None:
+    """Return bounds of an expression; None where no rule tells them.
+
+    Args:
+        value: An expression, (1, 1).
+        moving: The symbols that move, (n, 1).
+        ends: Symbols of the least and greatest values of these, (n, 1) each.
+        p: Symbols that stay.
+    """
+    low, high = map(ca.vertsplit, ends)
+    try:
+        (span,) = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
+    except _UnknownError:
+        return None
+    return span.low, span.high
+
+
+def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]) -> list[_Span]:
+    """Return the spans of a column, from those of the rows of the first argument."""
     function = ca.Function("rows", list(arguments), [rows], {"cse": True})
     symbols = [ca.vertsplit(column) for column in arguments]
 
     def symbol(argument: int, row: int) -> _Span:
         known = symbols[argument][row]
-        return _constant(known) if argument else _Span(known, known + length, False)
+        return _constant(known) if argument else moving(row, known)
 
     def operation(code: int, operands: list[_Span]) -> _Span:
         if code == ca.OP_CALL:
@@ -110,6 +127,11 @@ def _spans(rows: SX, arguments: Sequence[SX], length: SX) -> list[_Span]:
 
     (spans,) = replayed(function, symbol, _constant, operation)
     return spans
+
+
+def _from_here(length: SX) -> Callable[[int, SX], _Span]:
+    """Return the span of a symbol that goes from its value on over a length."""
+    return lambda _, value: _Span(value, value + length, stays=False)
 
 
 def _constant(value: SX) -> _Span:

@@ -34,13 +34,13 @@ static void log_happening(Instance *self, const Happening *found) {
 
 /* -- the start -------------------------------------------------------------------------------- */
 
-/* A parameter that moves a short pulse of the equations, which a solver may step over. */
+/* A parameter that moves a short change of the equations, which a solver may step over. */
 static void warn_of_pulses(Instance *self) {
-    for (const int *place = pulse_parameters; N_PULSES > 0 && *place >= 0; place++) {
+    for (const int *place = pulse_parameters; *place >= 0; place++) {
         const VariableInfo *parameter = &variables[FIRST_PARAMETER + *place];
         if (self->state.values[FIRST_PARAMETER + *place] != parameter->start)
             log_text(self, WARNING,
-                     "%s moves a short pulse of the equations, which a solver may step over; "
+                     "%s moves a short change of the equations, which a solver may step over; "
                      "export the model with the new value",
                      parameter->name);
     }

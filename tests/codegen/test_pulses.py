@@ -115,17 +115,14 @@ def test_no_gauss_pulse_is_stepped_over_by_an_fmu(fmi, tmp_path):
             assert np.abs(run["x"][late] - exact).max() < bound  # measured 1e-13, 4e-8
 
 
-def test_fmu_warns_of_a_parameter_that_moves_a_pulse(tmp_path):
-    dae = spring(lambda t, middle: gauss(t, middle, 1e-3), middle=5.0)
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+def test_a_pulse_follows_a_parameter_of_an_fmu(interface, tmp_path):
+    dae = spring(lambda t, middle, width: gauss(t, middle, width), middle=5.0, width=1e-3)
     path = cosim.export_fmu(dae, tmp_path / "x.fmu")
-    said = []
-    fmpy.simulate_fmu(
-        path,
-        start_values={"middle": 6.0},
-        debug_logging=True,
-        logger=lambda *message: said.append(message[-1]),
-    )
-    assert any(b"middle moves a short pulse" in message for message in said)
+    values = {"middle": 6.0, "width": 1e-4}
+    run = cosim.simulate_fmu(path, interface=interface, start_values=values)
+    late = run.time > 6.01
+    assert np.abs(run["x"][late] - moved(run.time[late], 6.0, 1e-4)).max() < 1e-6
 
 
 def test_variants_see_pulses():
@@ -148,3 +145,15 @@ def test_longest_step_of_an_fmu_is_kept():
     exact = moved(run.time[run.time > 5.2], 5.0, 0.02)
     assert np.abs(run["x"][run.time > 5.2] - exact).max() < 1e-5  # otherwise 1e-3
     assert execute(request, Backend.MODEL_EXCHANGE).stats["rhs_calls"] >= 10_000  # in 10 s
+
+
+def test_an_fmu_does_not_warn_of_a_parameter_of_a_wave(tmp_path):
+    dae = spring(lambda t, phase: ca.sin(t + phase) + ca.fabs(ca.sin(t)), phase=0.5)
+    path, said = cosim.export_fmu(dae, tmp_path / "x.fmu"), []
+    fmpy.simulate_fmu(
+        path,
+        start_values={"phase": 0.6},
+        debug_logging=True,
+        logger=lambda *message: said.append(message[-1]),
+    )
+    assert not any(b"phase moves" in message for message in said)

@@ -7,6 +7,7 @@ matter of the kernel (`integrate.kernel`), and the solver starts afresh.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
+from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Ending, Kernel, Reason, reject
 from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.passed_over import attentive
+from cosim.integrate.passed_over import attentive, with_note_on_steps
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
@@ -54,7 +56,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         longest = min(longest, solver.max_step)
     pulses = pulse_times(smooth, start.values.p, *span, longest)
 
-    def attempt(grid: Vector, ends: Vector) -> Motion:
+    def attempt(solver: Solver, grid: Vector, ends: Vector) -> Motion:
         own = replace(problem, times=grid.tobytes())
         if system is not None or breaks or len(pulses) or len(ends):
             no_events = Hybrid(problem.dae, (), (), ())
@@ -67,8 +69,15 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         return Motion(problem.dae, grid[:n], *columns, found.counts, found.reason, found.solve_time)
 
     if not isinstance(solver, AdaptiveSolver):
-        return attempt(problem.grid, np.empty(0))
-    return attentive(attempt, problem.grid, start.values.p, solver.tolerance.pair[0])
+        motion = attempt(solver, problem.grid, np.empty(0))
+        return with_note_on_steps(motion, start.values.p)
+    return followed_growth(
+        lambda own: attentive(
+            partial(attempt, own), problem.grid, start.values.p, own.tolerance.pair[0]
+        ),
+        solver,
+        start.values.p,
+    )
 
 
 class _Course:

@@ -19,6 +19,7 @@ from casadi_models.dae.variational import variational
 from cosim.arrays import Vector
 from cosim.codegen.functions import CALL, equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
+from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
@@ -340,6 +341,12 @@ def integrator(
             f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
             "short pulses that CasADi's integrators may step over; divide the grid there into "
             "several integrators, or use cosim.simulate",
+            stacklevel=3,
+        )
+    if names := [name for name in landmarks(dae).moving if name != "time"]:
+        warn(
+            f"{dae.full_name}: a term of {names[0]} changes in a small part of its way, which "
+            "CasADi's integrators may step over; divide the grid there, or use cosim.simulate",
             stacklevel=3,
         )
     chosen, _ = chosen_solver(dae, requested)

@@ -1,10 +1,15 @@
 """`Motion`: what an integration over a grid of times found, with its events."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
+from cosim.codegen.functions import equations
+from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts
 from cosim.integrate.modes import Instant
 
@@ -55,3 +60,14 @@ class Motion:
     stop: str = ""
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
+
+
+def rates_at(motion: Motion, rows: Vector, p: Vector) -> Vector:
+    """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
+    t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]
+    if len(z):  # the solver's own are interpolated between its steps
+        with suppress(RuntimeError):  # CasADi's factorization meets a singular matrix
+            solved = np.array(algebraic_function(motion.dae)(t, x, z, u, p))
+            z = np.where(np.isfinite(solved).all(axis=0), solved, z)
+    return np.array(equations(motion.dae)(t, x, z, u, p)[0])

@@ -8,6 +8,7 @@ integral of their rates. Where it does not, it is computed again with steps that
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,12 +17,15 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.functions import equations
+from cosim.codegen.changes import changing_parts, merged, sampled_changes
+from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
-from cosim.integrate.motion import Motion
+from cosim.integrate.excursions import excursions, several_terms_of
+from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
 
@@ -29,11 +33,8 @@ Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of st
 
 _EFFECT = 100.0  # least defect of a state that matters, in relative tolerances
 _PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
-_STRAIGHT = 0.05  # distance of a term from a line, as a share of its range
-_FLAT = 1e-3  # change of a resting term in a part, as a share of its range
 _BEYOND = 0.05  # of a way, by which rows may miss its ends
-_MOST_CELLS, _DEEPEST = 4_000, 50  # parts of a way; halvings of them
-_SAMPLES = 64  # of a cell, of a term without bounds
+_MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
 _INNER = 64  # intervals of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
@@ -49,12 +50,33 @@ class _Terms:
         values: `(moving, p) -> terms`, (n,).
         bends: `(moving, length, p) -> bounds of the second derivatives`, both ends, (n,) each.
         bounded: Whether these are known, (n,).
+        tables: The terms that call tables.
     """
 
     moving: int
     values: ca.Function
     bends: ca.Function
     bounded: tuple[bool, ...]
+    tables: tuple[InnerTerm, ...]
+
+    def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
+        """Return a term as a function of what moves."""
+        return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
+
+    def bend(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
+        """Return bounds of the size of its second derivative, from begins and lengths."""
+
+        def bound(begins: Vector, lengths: Vector) -> Vector:
+            ends = self.bends(begins[None], lengths[None], p)
+            return np.asarray(
+                np.abs([np.array(end)[term, : len(begins)] for end in ends]).max(axis=0)
+            )
+
+        return bound
+
+    def along(self, term: int, p: Vector, motion: Motion, times: Vector) -> Vector:
+        """Return a term at times of a motion, (n,)."""
+        return self.value(term, p)(np.interp(times, motion.time, self.path(motion)))
 
     def path(self, motion: Motion) -> Vector:
         """Return the values of what moves at the times of a motion, (n,)."""
@@ -62,12 +84,12 @@ class _Terms:
 
 
 class Place(NamedTuple):
-    """Where a term bends: times, s, the terms of what moves, and its position among them."""
+    """Where a term bends: times, s, what moves it, and its values at times of a motion."""
 
     begin: float
     end: float
-    terms: _Terms
-    term: int
+    name: str
+    values: Callable[[Motion, Vector], Vector]
 
     @property
     def times(self) -> Vector:
@@ -86,7 +108,9 @@ def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
         ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
         values = ca.Function("values", [s, dae.p], [terms], {"cse": True})
         bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
-        found.append(_Terms(moving, values, bends, tuple(b is not None for b in known)))
+        tables = tuple(t for t in inner_terms(dae) if t.moving == moving and t.tables)
+        bounded = tuple(b is not None for b in known)
+        found.append(_Terms(moving, values, bends, bounded, tables))
     return tuple(found)
 
 
@@ -100,23 +124,15 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         tolerance: Relative tolerance of the solver.
     """
     plain = attempt(grid, np.empty(0))
-    every = [] if plain.reason or len(plain.time) < 2 else _terms_of(plain.dae)
     steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
-    if not every or not (few or any(_bends(terms, plain, p, steps) for terms in every)):
+    if plain.reason or len(plain.time) < 2 or not _has_terms(plain.dae):
         return plain
-    rows, ends, places = _dense(grid, steps), np.empty(0), list[Place]()
+    rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
+    motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
+    settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
-        motion = attempt(np.union1d(grid, rows), ends)
-        least = _EFFECT * tolerance * _sizes(motion)
-        passed = [place for place in places if _is_passed(motion, place, p, least)]
-        found = [
-            place
-            for terms in every
-            for term, low, high in _bends(terms, motion, p, steps)
-            for place in _places(motion, terms, term, low, high)
-        ]
-        new = _apart(found, places)
+        new = _apart(_found(motion, p, steps), places)
         if motion.reason or not (passed or new):
             break
         places += new
@@ -124,12 +140,75 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
             passed = passed or new
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
-        ends = _inside(grid, [ends, *(_divided(motion, place, ends, p) for place in passed)])
+        divided = [_divided(motion, place, ends) for place in passed]
+        ends = _inside(grid, [ends, *divided])
+        before, motion = motion, attempt(np.union1d(grid, rows), ends)
+        least = _EFFECT * tolerance * _sizes(motion)
+        settled += [place for place in passed if _is_settled(before, motion, place, least)]
+        passed = [
+            place
+            for place in places
+            if place not in settled and _is_passed(motion, place, p, least)
+        ]
+        if not (passed or divided):
+            break  # the motion is the one that has been searched
     motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
+        return _with_note_on_unbounded(motion)
+    return replace(motion, note=f"{_passing(passed[0])}; set max_step")
+
+
+def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what moves the terms that no step passes over, and those that a step may pass over.
+
+    The names of several quantities of one term are joined by commas.
+    """
+    names = [*(state.name for state in dae.states), "time"]
+    single, several = [names[moving] for moving in single_terms(dae)], several_terms_of(dae)
+    if several is None:
+        return tuple(single), ()
+    return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
+
+
+def _has_terms(dae: Dae) -> bool:
+    return bool(_terms_of(dae)) or several_terms_of(dae) is not None
+
+
+def _found(motion: Motion, p: Vector, steps: int) -> list[Place]:
+    """Return where terms bend within a part of an average step."""
+    names = [*(state.name for state in motion.dae.states), "time"]
+    found = list[Place]()
+    for terms in _terms_of(motion.dae):
+        for term, low, high in _bends(terms, motion, p, steps):
+            values = partial(terms.along, term, p)
+            times = _times(motion, terms, low, high)
+            found += [Place(*span, names[terms.moving], values) for span in times]
+    several = several_terms_of(motion.dae)
+    if several is None:
+        return found
+    for term, begin, end in excursions(several, motion, p, steps):
+        values = partial(several.along, term, p)
+        found.append(Place(begin, end, several.names[term], values))
+    return found
+
+
+def _with_note_on_unbounded(motion: Motion) -> Motion:
+    terms = several_terms_of(motion.dae)
+    if terms is None or not terms.unbounded:
         return motion
-    text = f"steps may pass over a change of {_name(plain.dae, passed[0])}; set max_step"
+    text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set max_step"
     return replace(motion, note=text)
+
+
+def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
+    """Return the motion of equal steps, with a note if a term changes within a part of one."""
+    if len(motion.time) < 2 or motion.reason:
+        return motion
+    steps = min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
+    found = _found(motion, p, steps) if _has_terms(motion.dae) else []
+    if not found:
+        return motion
+    return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
 
 
 def _sizes(motion: Motion) -> Vector:
@@ -143,9 +222,8 @@ def _apart(found: list[Place], known: list[Place]) -> list[Place]:
     return [p for p in found if not ((begins < p.end) & (p.begin < ends)).any()]
 
 
-def _name(dae: Dae, place: Place) -> str:
-    names = [*(state.name for state in dae.states), "time"]
-    return f"a term of {names[place.terms.moving]} near {place.begin:.9g} s"
+def _passing(place: Place) -> str:
+    return f"steps may pass over a change of a term of {place.name} near {place.begin:.9g} s"
 
 
 def _inside(grid: Vector, times: list[Vector]) -> Vector:
@@ -174,73 +252,34 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
     edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
-    for term in range(len(terms.bounded)):
-        first = len(found)
-        for a, b in _moving(terms, term, edges, p):
-            if len(found) > first and a - found[-1][2] <= edges[1] - edges[0]:
-                found[-1] = (term, found[-1][1], b)
-            else:
-                found.append((term, a, b))
+    for term, bounded in enumerate(terms.bounded):
+        values = terms.value(term, p)
+        if bounded:
+            changes = changing_parts(values, terms.bend(term, p), edges)
+        else:
+            changes = sampled_changes(values, edges, _knots(motion.dae, terms, p))
+        parts = merged(changes.parts, edges[1] - edges[0])
+        found += [(term, *part) for part in parts]
     return found
 
 
-def _moving(terms: _Terms, term: int, edges: Vector, p: Vector) -> list[tuple[float, float]]:
-    """Return parts of cells in which a term is no line, and changes there."""
-
-    def values(at: Vector) -> Vector:
-        return np.asarray(np.array(terms.values(at[None], p))[term, : len(at)])  # of none: one
-
-    ends = values(edges)
-    if not np.isfinite(ends).any():
-        return []
-    low, high = np.nanmin(ends), np.nanmax(ends)
-    begins, widths, leaves = edges[:-1], np.diff(edges), list[tuple[Vector, Vector]]()
-    if not terms.bounded[term]:
-        at = begins[:, None] + widths[:, None] * np.arange(_SAMPLES + 1) / _SAMPLES
-        seen = values(at.ravel()).reshape(at.shape)
-        line = seen[:, :1] + (seen[:, -1:] - seen[:, :1]) * np.arange(_SAMPLES + 1) / _SAMPLES
-        sharp = np.abs(seen - line).max(axis=1) > _STRAIGHT * np.ptp(seen)
-        begins, widths = at[sharp][:, :-1].ravel(), np.repeat(widths[sharp] / _SAMPLES, _SAMPLES)
-        leaves.append((begins, widths))
-        low, high, begins = seen.min(), seen.max(), begins[:0]
-    for level in range(_DEEPEST):
-        if not len(begins) or len(begins) > _MOST_CELLS:
-            break
-        bounds = terms.bends(begins[None], widths[None], p)
-        bend = np.abs([np.array(end)[term] for end in bounds]).max(axis=0)
-        sharp = ~(bend * widths**2 / 8 <= _STRAIGHT * (high - low))
-        if level:
-            leaves.append((begins[~sharp], widths[~sharp]))
-        halves = np.repeat(widths[sharp] / 2, 2)
-        begins = np.repeat(begins[sharp], 2)
-        begins[1::2] += halves[1::2]
-        widths = halves
-        inner = values(begins[1::2])
-        low, high = np.nanmin([low, *inner]), np.nanmax([high, *inner])
-    if not leaves:
-        return []
-    begins, widths = (np.concatenate(parts) for parts in zip(*leaves, strict=True))
-    order = np.argsort(begins)
-    begins, finish = begins[order], (begins + widths)[order]
-    changes = np.abs(values(finish) - values(begins)) > _FLAT * (high - low)
-    return list(zip(begins[changes].tolist(), finish[changes].tolist(), strict=True))
+def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:
+    """Return where tables of what moves have their knots."""
+    own = (way_of(dae, term, knots_of(term), p) for term in terms.tables)
+    return np.unique(np.concatenate([np.empty(0), *own]))
 
 
-def _places(motion: Motion, terms: _Terms, term: int, low: float, high: float) -> list[Place]:
-    """Return when what moves is between two values, on lines between rows."""
+def _times(motion: Motion, terms: _Terms, low: float, high: float) -> list[tuple[float, float]]:
+    """Return when what moves is between two values, on lines between rows: begins and ends, s."""
     t, x = motion.time, terms.path(motion)
-    found = list[Place]()
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (np.array([[low], [high]]) - x[:-1]) / np.diff(x)
     first = np.clip(shares.min(axis=0), 0, 1)
     last = np.clip(shares.max(axis=0), 0, 1)
-    for k in np.flatnonzero(first < last):
-        begin, end = (float(t[k] + share * (t[k + 1] - t[k])) for share in (first[k], last[k]))
-        if found and begin <= found[-1].end:
-            found[-1] = found[-1]._replace(end=end)
-        else:
-            found.append(Place(begin, end, terms, term))
-    return [place for place in found if place.begin < place.end]
+    within = np.flatnonzero(first < last)
+    begins, ends = (t[within] + s[within] * np.diff(t)[within] for s in (first, last))
+    found = merged(list(zip(begins.tolist(), ends.tolist(), strict=True)), 0)
+    return [(begin, end) for begin, end in found if begin < end]
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
@@ -261,9 +300,8 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
         at = at[: (len(at) - 1) // 4 * 4 + 1]
         if len(at) < 5:
             continue
-        t, x, z = motion.time[at], motion.states[:, at], motion.algebraics[:, at]
-        u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, at]
-        rates = np.array(equations(motion.dae)(t[None], x, z, u, p)[0])
+        t, x = motion.time[at], motion.states[:, at]
+        rates = rates_at(motion, at, p)
         h = (t[-1] - t[0]) / (len(t) - 1)
         fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
         off = np.abs(x[:, -1] - x[:, 0] - fine)
@@ -272,17 +310,25 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
     return False
 
 
+def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> bool:
+    """Return whether more steps in a place have changed no state after it: all is seen."""
+    last = [motion.time.searchsorted(place.times[-1]) for motion in (before, after)]
+    if last[0] >= len(before.time) or last[1] >= len(after.time):
+        return False
+    changes = np.abs(before.states[:, last[0]] - after.states[:, last[1]])
+    return before.time[last[0]] == after.time[last[1]] and bool((changes <= least).all())
+
+
 def _simpson(rows: Vector, h: float) -> Vector:
     ends, odd, even = rows[:, 0] + rows[:, -1], rows[:, 1::2], rows[:, 2:-1:2]
     return np.asarray(h / 3 * (ends + 4 * odd.sum(axis=1) + 2 * even.sum(axis=1)))
 
 
-def _divided(motion: Motion, place: Place, ends: Vector, p: Vector) -> Vector:
+def _divided(motion: Motion, place: Place, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
     known = ends[(t[0] <= ends) & (ends <= t[-1])]
     if len(known) > 1:
         return np.asarray((known[:-1] + known[1:]) / 2)
-    x = np.interp(t, motion.time, place.terms.path(motion))
-    values = np.array(place.terms.values(x[None], p))[place.term]
+    values = place.values(motion, t)
     return parted(t, values, float(np.ptp(values)))

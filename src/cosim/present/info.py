@@ -14,6 +14,7 @@ from cosim.errors import InitialConditionError
 from cosim.fmi.archive import entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
 from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.passed_over import watched_terms
 from cosim.integrate.validity import inspect_start
 from cosim.model.catalogue import load
 from cosim.model.values import assign
@@ -146,6 +147,10 @@ def _of_model(dae: Dae) -> Info:
     if dae.start_outputs:
         pairs = ((w.variable.name, dae.states[w.state].name) for w in dae.start_outputs)
         facts["alternative start values"] = ", ".join(f"{y} (for {x})" for y, x in pairs)
+    titles = "changes of terms, found in steps", "changes of terms, not found in steps"
+    for title, names in zip(titles, watched_terms(dae), strict=True):
+        if names:
+            facts[title] = "; ".join(f"of {name}" for name in names)
     start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from warnings import warn
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
 from cosim.arrays import Vector
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
+from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pulses import pulse_parameters, pulse_times
 from cosim.errors import UsageError
 
@@ -21,7 +23,9 @@ def fmu_pulses(dae: Dae) -> Vector:
     """Return the times at which steps must end for a solver to see all terms of time, s."""
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     span = dae.experiment.stop_time
-    return pulse_times(dae, p, 0.0, span, span / LEAST_STEPS)
+    sampled = pulse_times(dae, p, 0.0, span, span / LEAST_STEPS)
+    bounded = landmarks(dae).times
+    return np.union1d(sampled, bounded[(bounded > 0) & (bounded < span)])
 
 
 def fmu_events(dae: Dae) -> Hybrid | None:
@@ -36,9 +40,17 @@ def fmu_events(dae: Dae) -> Hybrid | None:
         system = hybrid(dae)
     except ValueError as error:
         raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
-    if system is None:
-        return Hybrid(dae, (), (), ()) if len(fmu_pulses(dae)) else None
-    system = system.blended()
+    system = system.blended() if system else Hybrid(dae, (), (), ())
+    places = landmarks(system.dae)
+    for name in places.passed:
+        warn(
+            f"{dae.full_name}: terms of {name} change in too many places for an FMU to name them; "
+            "an importer's solver may step over some: give it a largest step",
+            stacklevel=2,
+        )
+    system = system.watching_more(places.arguments, "place")
+    if not (system.relations or system.events or len(fmu_pulses(system.dae))):
+        return None
     smooth, modes = system.dae, ca.vertsplit(system.modes)
     rows, more = list[SX](), list[Variable]()
     for i, relation in enumerate(system.relations):
@@ -71,8 +83,10 @@ def event_tables(system: Hybrid | None) -> str:
     """Return the tables of relations, events and pulses for model.c; empty without events."""
     if system is None:
         return ""
-    pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
-    moving = pulse_parameters(system.dae)
+    times, known = fmu_pulses(system.dae), landmarks(system.dae)
+    pulses = [*map(repr, times.tolist()), "0.0"]
+    sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
+    moving = sampled - {*known.followed} | {*known.given}
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     names = [literal(system.described(i)) for i in range(len(system.relations))]
     rules = [literal(event.name) for event in system.events]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae
 from cosim.arrays import Integers, Vector
 from cosim.codegen.compiler import has_compiler
+from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pulses import pulse_within_a_step
 from cosim.codegen.runge_kutta.lanes import fits_lanes
 from cosim.errors import (
@@ -154,6 +155,8 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     explicit = not dae.algebraics and bool(dae.states) and fits_lanes(dae) and hybrid(dae) is None
     plain = request.inputs is None and policy.drift_control is None and policy.compiled is not False
     if not (explicit and plain and end > begin and has_compiler()):
+        return None
+    if landmarks(dae).exist:
         return None
     longest = request.max_step or end - begin
     if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):

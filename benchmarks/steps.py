@@ -1,0 +1,101 @@
+"""Random bumps of a road and pulses of time: which solvers and FMUs pass over them.
+
+    python benchmarks/steps.py [COUNT] [--short]
+
+A mass on a spring and a damper moves over a bump at 10 m/s, or a pulse of time pushes it. Shape,
+place and width (0.1 mm to 1 m) are random. A result is right if the height at the end is, to 1 % of
+its largest value; it is wrong without a word if it is not, and no note says so.
+"""
+
+import itertools
+import sys
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+from scipy.integrate import solve_ivp
+
+import cosim
+
+SPEED, HEIGHT, STOP = 10.0, 0.05, 7.0  # m/s, m, s
+REACH = 12  # widths, beyond which no shape is felt
+KNOTS = np.linspace(-10, 10, 201)
+TABLE = ca.interpolant("table", "linear", [KNOTS], np.exp(-(KNOTS**2)))
+SHAPES = {
+    "gauss": lambda c, m: m.exp(-(c**2)),
+    "lorentz": lambda c, m: 1 / (1 + c**2) ** 4,
+    "slopes": lambda c, m: (m.tanh(c + 1.5) - m.tanh(c - 1.5)) / 2,
+    "table": lambda c, m: np.interp(c, KNOTS, np.exp(-(KNOTS**2))) if m is np else TABLE(c),
+    "plane": lambda c, m: m.exp(-(c**2)),
+    "pulse": lambda c, m: m.exp(-(c**2)),
+}
+SCIPY = ("DOP853", "RK45", "LSODA", "BDF")
+NATIVE = ("dop853", "cvodes")
+
+
+def model(shape: str) -> cosim.Dae:
+    form = SHAPES[shape]
+    t, place, width = SX.sym("t"), SX.sym("place"), SX.sym("width")
+    s, r, h, v = (SX.sym(name) for name in "srhv")
+    c = ((SPEED * t if shape == "pulse" else s) - place) / width
+    bump = form(c, ca) * (form((r - place) / width, ca) if shape == "plane" else 1)
+    ode = ca.vertcat(SPEED, SPEED, v, -25 * (h - HEIGHT * bump) - v)
+    laws = {"t": t, "x": ca.vertcat(s, r, h, v), "ode": ode, "p": ca.vertcat(place, width)}
+    start = {"place": 50.0, "width": 0.1}
+    return cosim.from_casadi(laws, start, name=shape, stop_time=STOP, output_interval=0.5)
+
+
+def by_scipy(shape: str, place: float, width: float, method: str, closely: bool) -> float:
+    """Return the height at the end; `closely` with short steps near the bump."""
+
+    def slope(t, x):
+        c = (SPEED * t - place) / width
+        bump = SHAPES[shape](c, np) ** (2 if shape == "plane" else 1)
+        return [x[1], -25 * (x[0] - HEIGHT * bump) - x[1]]
+
+    ends = np.clip([0, place - REACH * width, place + REACH * width, STOP * SPEED], 0, 70) / SPEED
+    spans = itertools.pairwise(ends) if closely else [(0, STOP)]
+    x = np.zeros(2)
+    for begin, end in spans:
+        longest = 0.1 * width / SPEED if closely and end - begin < 3 * REACH * width else np.inf
+        tolerances = {"rtol": 1e-8, "atol": 1e-12} if closely else {"rtol": 1e-8, "atol": 1e-10}
+        if begin < end:
+            x = solve_ivp(slope, (begin, end), x, method, max_step=longest, **tolerances).y[:, -1]
+    return float(x[0])
+
+
+def main(count: int) -> None:
+    random, folder = np.random.default_rng(1), Path(tempfile.mkdtemp())
+    wrong, noted = dict[str, int](), dict[str, int]()
+    shapes = list(SHAPES)
+    models = {shape: model(shape) for shape in shapes}
+    files = {shape: cosim.export_fmu(models[shape], folder / f"{shape}.fmu") for shape in shapes}
+    for k in range(count):
+        shape, width = shapes[k % len(shapes)], float(10 ** random.uniform(-4, 0))
+        place = float(random.uniform(40, 60))
+        right = by_scipy(shape, place, width, "DOP853", closely=True)
+        area = HEIGHT * width / SPEED * 5  # of the response to an impulse: its largest value
+        found = {f"scipy {m}": (by_scipy(shape, place, width, m, False), "") for m in SCIPY}
+        values = {"place": place, "width": width}
+        for solver in NATIVE:
+            run = cosim.simulate(models[shape], solver=solver, start_values=values)
+            found[f"cosim {solver}"] = run["h"][-1], run.stats.get("note", "")
+        for interface in ("CoSimulation", "ModelExchange"):
+            path = files[shape]
+            options = {"interface": interface, "start_values": values}
+            run = cosim.simulate_fmu(path, relative_tolerance=1e-9, **options)
+            found[f"FMU, {interface}"] = run["h"][-1], run.stats.get("note", "")
+        for name, (value, note) in found.items():
+            off = abs(value - right) > 0.01 * area
+            wrong[name] = wrong.get(name, 0) + (off and not note)
+            noted[name] = noted.get(name, 0) + bool(off and note)
+    print(f"of {count} bumps, passed over without a word (with a note):")
+    for name, number in wrong.items():
+        print(f"{name:22} {number:4} ({noted[name]})")
+
+
+if __name__ == "__main__":
+    numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
+    main(6 if "--short" in sys.argv else (numbers or [300])[0])

@@ -1,0 +1,134 @@
+"""`inner_terms`: terms of one moving quantity as functions of a variable that parameters shift.
+
+The term H exp(-((s - place) / width)**2) is, but for its factor, a function exp(-c**2) of
+c = (s - place) / width. It holds no parameter: where it changes is known for all their values.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import casadi as ca
+from casadi import SX
+
+from casadi_models.dae.frozen import Dae
+from casadi_models.dae.relations import applied, called
+from casadi_models.dae.single_terms import in_postorder, single_terms
+
+_SUMS = {ca.OP_ADD, ca.OP_SUB, ca.OP_NEG}
+
+
+class InnerTerm(NamedTuple):
+    """A term as a function of one variable.
+
+    Attributes:
+        moving: The position of the state that moves it; that of time is after all states.
+        variable: Linear in what moves, of `dae.x`, `dae.t` and `dae.p`.
+        symbol: What stands for it in `value`.
+        value: The term, but for a factor; of the symbol and, if `given`, of `dae.p`.
+        given: Positions of the parameters that change the value at a variable.
+        tables: The functions that it calls, each with its argument.
+    """
+
+    moving: int
+    variable: SX
+    symbol: SX
+    value: SX
+    given: tuple[int, ...]
+    tables: tuple[tuple[ca.Function, SX], ...]
+
+
+class _Node(NamedTuple):
+    """A node of a term: its roots are the variables in it, and its form is in their symbols."""
+
+    code: int
+    form: SX
+    roots: frozenset[int]
+    is_line: bool
+    operands: tuple["_Node", ...]
+    table: ca.Function | None = None
+
+
+def inner_terms(dae: Dae) -> list[InnerTerm]:
+    """Return the terms of time or a single state that may rest and change on its way."""
+    moving = [*ca.vertsplit(dae.x), dae.t] if dae.states else [dae.t]
+    found = dict[int, InnerTerm]()
+    for place, terms in single_terms(dae).items():
+        for term in ca.vertsplit(terms):
+            for own in _inner(dae, place, moving[place], term):
+                found.setdefault(own.value.element_hash(), own)
+    return list(found.values())
+
+
+def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
+    variables = [(moving, SX.sym("c"))]
+    nodes = dict[int, _Node]()
+    for key, value, keys in in_postorder([term]):
+        operands = tuple(nodes[k] for k in keys)
+        if key == moving.element_hash():
+            nodes[key] = _Node(value.op(), variables[0][1], frozenset([0]), True, ())
+        else:
+            nodes[key] = _combined(dae, value, operands, variables)
+    for piece in _pieces(nodes[term.element_hash()]):
+        (root, *more) = piece.roots
+        variable, symbol = variables[root]
+        value = piece.form
+        if more:
+            variable, symbol = variables[0]
+            first = [own for own, _ in variables]
+            symbols = [own for _, own in variables]
+            value = ca.substitute(value, ca.vertcat(*symbols), ca.vertcat(*first))
+            value = ca.substitute(value, moving, symbol)
+        which = ca.which_depends(value, dae.p, 1, False) if dae.parameters else []
+        tables = tuple(_tables(piece)) if not more else ()
+        given = tuple(i for i, depends in enumerate(which) if depends)
+        yield InnerTerm(place, variable, symbol, value, given, tables)
+
+
+def _combined(
+    dae: Dae, value: SX, operands: tuple[_Node, ...], variables: list[tuple[SX, SX]]
+) -> _Node:
+    """Return the node of an operation; a line that parameters move becomes a variable."""
+    code, roots = value.op(), frozenset[int]().union(*(o.roots for o in operands))
+    movers = [o for o in operands if o.roots]
+    if not movers:
+        return _Node(code, value, roots, False, operands)
+    others = [o.form for o in operands if not o.roots]
+    linear = (
+        code in _SUMS
+        or (code in (ca.OP_TWICE, ca.OP_MUL) and len(movers) == 1)
+        or (code == ca.OP_DIV and not operands[1].roots)
+    )  # fmt: skip
+    forms = [o.form for o in operands]
+    if linear and len(movers) == 1 and movers[0].is_line:
+        if not others or not ca.depends_on(ca.vertcat(*others), dae.p):
+            return _Node(code, applied(code, forms), roots, True, operands)
+        variables.append((value, SX.sym("c")))
+        return _Node(code, variables[-1][1], frozenset([len(variables) - 1]), True, ())
+    if code == ca.OP_CALL:
+        function = value.which_function()
+        rows = called(function, forms)
+        form = rows[0] if len(rows) == 1 else SX.nan()  # CasADi does not tell which of several
+        return _Node(code, form, roots, False, operands, function)
+    if len(operands) == 1 and operands[0].code == ca.OP_CALL:  # a result of a call
+        return operands[0]
+    return _Node(code, applied(code, forms), roots, False, operands)
+
+
+def _pieces(node: _Node) -> Iterator[_Node]:
+    """Yield the terms of a sum that move, without their factors."""
+    movers = [o for o in node.operands if o.roots]
+    factor = node.code == ca.OP_MUL or (node.code == ca.OP_DIV and movers == [node.operands[0]])
+    if node.is_line:
+        return
+    if node.code in (*_SUMS, ca.OP_TWICE) or (factor and len(movers) == 1):
+        for operand in movers:
+            yield from _pieces(operand)
+    else:
+        yield node
+
+
+def _tables(node: _Node) -> Iterator[tuple[ca.Function, SX]]:
+    if node.table is not None:
+        yield node.table, node.operands[0].form
+    for operand in node.operands:
+        yield from _tables(operand)

@@ -1,0 +1,133 @@
+"""`changing_parts`: where a function bends, from bounds of its second derivative."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Vector
+
+_STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
+FLAT = 1e-3  # change of a resting function in a part, as a share of its range
+_AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
+_SAMPLES = 64  # of a cell, without bounds
+
+
+class Changes(NamedTuple):
+    """Parts of a variable's way in which a function is no line, and changes.
+
+    Attributes:
+        parts: Begin and end of each, in order.
+        low, high: Range of the function, as far as it is known.
+        is_whole: Whether the function is a line in all that was not halved to the end.
+    """
+
+    parts: list[tuple[float, float]]
+    low: float
+    high: float
+    is_whole: bool
+
+
+NOTHING = Changes([], np.nan, np.nan, is_whole=False)
+
+
+def changing_parts(
+    values: Callable[[Vector], Vector],
+    bend: Callable[[Vector, Vector], Vector],
+    edges: Vector,
+) -> Changes:
+    """Return where a function bends within cells of its variable.
+
+    Args:
+        values: Returns the function at values of the variable.
+        bend: Returns bounds of the size of the second derivative, from the begins of cells and
+            their widths.
+        edges: Ends of the cells, ascending.
+    """
+    ends = values(edges)
+    if not np.isfinite(ends).any():
+        return NOTHING
+    low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
+    begins, widths = edges[:-1], np.diff(edges)
+    least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
+    off = _off(bend, begins, widths)
+    for _ in range(_MOST_ROUNDS):
+        bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
+        if not len(bent) or len(begins) > _MOST_CELLS:
+            break
+        bent = bent[np.argsort(-off[bent], kind="stable")[:_AT_ONCE]]
+        half = widths[bent] / 2
+        middles = begins[bent] + half
+        inner = values(middles)
+        low, high = float(np.nanmin([low, *inner])), float(np.nanmax([high, *inner]))
+        keep = np.delete(np.arange(len(begins)), bent)
+        new = np.concatenate((begins[bent], middles))
+        off = np.concatenate((off[keep], _off(bend, new, np.tile(half, 2))))
+        begins, widths = np.append(begins[keep], new), np.append(widths[keep], np.tile(half, 2))
+        least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
+        halved[len(keep) :] = True
+    line = off <= _STRAIGHT * (high - low)
+    order = np.argsort(begins[halved & line])
+    begins, widths = begins[halved & line][order], widths[halved & line][order]
+    return Changes(
+        _changing(values, begins, begins + widths, high - low), low, high, bool(line.all())
+    )
+
+
+def _off(bend: Callable[[Vector, Vector], Vector], begins: Vector, widths: Vector) -> Vector:
+    """Return how far a function may be from a line within cells."""
+    off = bend(begins, widths) * widths**2 / 8
+    return np.asarray(np.where(np.isnan(off), np.inf, off))
+
+
+def _changing(
+    values: Callable[[Vector], Vector], begins: Vector, ends: Vector, size: float
+) -> list[tuple[float, float]]:
+    if not len(begins):
+        return []
+    changes = np.abs(values(ends) - values(begins)) > FLAT * size
+    return list(zip(begins[changes].tolist(), ends[changes].tolist(), strict=True))
+
+
+def changes_between(values: Callable[[Vector], Vector], knots: Vector) -> Changes:
+    """Return which parts between knots, where alone a function bends, it changes in."""
+    seen = values(knots)
+    low, high = float(seen.min()), float(seen.max())
+    return Changes(_changing(values, knots[:-1], knots[1:], high - low), low, high, is_whole=True)
+
+
+def sampled_changes(values: Callable[[Vector], Vector], edges: Vector, knots: Vector) -> Changes:
+    """Return where a function bends within cells as samples show, and its values at its knots."""
+    own = knots[(edges[0] < knots) & (knots < edges[-1])]
+    shares = np.arange(_SAMPLES) / _SAMPLES
+    inner = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
+    at = np.unique(np.concatenate((inner, own, edges)))
+    seen = values(at)
+    size = float(np.ptp(seen))
+    off = np.abs(seen - np.interp(at, edges, np.interp(edges, at, seen))) > _STRAIGHT * size
+    cells = np.clip(edges.searchsorted(at, "right") - 1, 0, len(edges) - 2)
+    bent = np.bincount(cells, off, len(edges) - 1)[cells[:-1]] > 0
+    parts = _changing(values, at[:-1][bent], at[1:][bent], size)
+    return Changes(parts, float(seen.min()), float(seen.max()), is_whole=True)
+
+
+def merged(parts: list[tuple[float, float]], gap: float) -> list[tuple[float, float]]:
+    """Return parts, of which those are one that are no further apart than a gap."""
+    return _joined(parts, lambda _: gap)
+
+
+def apart(parts: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return parts, of which those are one between which there is less room than they take."""
+    return _joined(parts, lambda before: before[1] - before[0])
+
+
+def _joined(
+    parts: list[tuple[float, float]], gap: Callable[[tuple[float, float]], float]
+) -> list[tuple[float, float]]:
+    found = list[tuple[float, float]]()
+    for a, b in parts:
+        if found and a - found[-1][1] <= gap(found[-1]):
+            found[-1] = (found[-1][0], b)
+        else:
+            found.append((a, b))
+    return found

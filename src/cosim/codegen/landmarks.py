@@ -1,0 +1,174 @@
+"""`landmarks`: where equations change on the way of a state, whatever the solver.
+
+A step of an importer's solver sees a bump of the ground only if a stage lies in it. Each place at
+which a term of one state changes is a relation, whose sign changes there: a solver that locates
+events starts anew at these places, with steps from one to the next.
+"""
+
+import re
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.dae import Dae, Variable
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms
+from casadi_models.dae.time_bounds import bounds_along
+from cosim.arrays import Vector
+from cosim.codegen.changes import NOTHING, apart, changes_between, changing_parts
+from cosim.codegen.pulses import parted
+from cosim.memo import cached_per_thread
+
+_FARTHEST = 1e6  # of the values of a variable that are searched
+_SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
+#              that a step over it sees
+_INNER = 1_000  # samples of a change
+_IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
+# the knots of a table of one variable in CasADi's C code
+_GRID = r"(?:casadi_interpn|CASADI_PREFIX\(nd_boor_eval\))\([^;{]*?,\s*1,\s*(casadi_c\d+)"
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Places where terms of single states and of time change.
+
+    Attributes:
+        arguments: Expressions of states or time, and parameters, that change their signs there,
+            (n, 1).
+        times: Those of time that parameters do not move, s, ascending.
+        moving: Names of the states with such terms; "time" for those of time.
+        followed: Names of the parameters that places follow.
+        given: Names of the parameters that move places which do not follow them.
+        passed: Names of the states with more places than are followed.
+    """
+
+    arguments: SX
+    times: Vector
+    moving: tuple[str, ...]
+    followed: tuple[str, ...]
+    given: tuple[str, ...]
+    passed: tuple[str, ...]
+
+    @property
+    def exist(self) -> bool:
+        """Whether terms change that a step may pass over."""
+        return bool(self.moving)
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """Where a term changes: its variable there, and whether a step over it sees that."""
+
+    term: InnerTerm
+    places: Vector
+    is_step: bool
+
+
+@cached_per_thread(16)
+def landmarks(dae: Dae) -> Landmarks:
+    """Return the places where terms change that rest before and after.
+
+    Args:
+        dae: The model, with frozen relations.
+    """
+    p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
+    changes = dict[int, dict[tuple[int, bytes], _Change]]()
+    for term in inner_terms(dae):  # one that has different factors in two equations is one
+        for change in _changes(dae, term, p):
+            key = term.variable.element_hash(), change.places.tobytes()
+            changes.setdefault(term.moving, {}).setdefault(key, change)
+    rows, times, given, passed = list[SX](), [np.empty(0)], set[str](), list[str]()
+    names, found = [*(state.name for state in dae.states), "time"], list[str]()
+    for moving, own in changes.items():
+        steps = sum(change.is_step for change in own.values())
+        needed = [change for change in own.values() if not change.is_step or steps > 1]
+        found += [names[moving]] if needed else []
+        if moving == len(dae.states):
+            fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
+            times += [way_of(dae, change.term, change.places, p) for change in fixed]
+            given.update(
+                v.name
+                for c in fixed
+                for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
+            )
+            needed = [change for change in needed if change not in fixed]
+        if sum(len(change.places) for change in needed) > _MOST:
+            passed.append(names[moving])
+        else:
+            rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
+            given.update(dae.parameters[i].name for c in needed for i in c.term.given)
+    arguments = ca.densify(ca.vertcat(SX(0, 1), *rows))
+    followed = [v.name for v in _depends(dae, arguments)]
+    every = np.unique(np.concatenate(times))
+    return Landmarks(
+        arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
+    )
+
+
+def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+    length, symbol = SX.sym("length"), term.symbol
+    value = ca.Function("value", [symbol, dae.p], [term.value], {"cse": True})
+
+    def values(at: Vector) -> Vector:
+        return np.array(value(at[None], p)).ravel()
+
+    bounds = bounds_along(term.value, symbol, [dae.p], length)
+    if bounds is not None:
+        ends = ca.Function("bend", [symbol, length, dae.p], list(bounds), {"cse": True})
+        edges = np.array([-_FARTHEST, _FARTHEST])
+
+        def bend(begins: Vector, widths: Vector) -> Vector:
+            both = [np.array(end).ravel() for end in ends(begins[None], widths[None], p)]
+            return np.asarray(np.abs(both).max(axis=0))
+
+        found = changing_parts(values, bend, edges)
+    else:
+        knots = knots_of(term)
+        found = changes_between(values, knots) if len(knots) > 1 else NOTHING
+    if not found.is_whole:
+        return []
+    changes = list[_Change]()
+    for begin, end in apart(found.parts):
+        reach = end - begin
+        at = np.linspace(begin - reach, end + reach, _INNER)
+        seen = values(at)
+        places = parted(at, seen, found.high - found.low)
+        places = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
+        step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
+        changes.append(_Change(term, places, bool(step)))
+    return changes
+
+
+def _depends(dae: Dae, expression: SX) -> list[Variable]:
+    """Return the parameters on which an expression depends."""
+    if not (expression.numel() and dae.parameters):
+        return []
+    which = ca.which_depends(expression, dae.p, 1, False)
+    return [v for v, depends in zip(dae.parameters, which, strict=True) if depends]
+
+
+def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
+    """Return the values of what moves a term at values of its variable."""
+    symbol = ca.vertcat(dae.x, dae.t)[term.moving]
+    line = [term.variable, ca.jacobian(term.variable, symbol)]
+    value, slope = ca.Function("line", [symbol, dae.p], line)(0, p)
+    return np.asarray((places - float(value)) / float(slope))
+
+
+def knots_of(term: InnerTerm) -> Vector:
+    """Return the knots of the tables of a term in its variable; empty if they are unknown."""
+    found = list[Vector]()
+    for table, argument in term.tables:
+        generator = ca.CodeGenerator("table")
+        generator.add(table)
+        code = generator.dump()
+        grids = re.findall(_GRID, code)
+        if len(grids) != 1:
+            return np.empty(0)
+        (numbers,) = re.findall(rf"{grids[0]}\[\d+\] = *\n* *{{([^}}]*)}}", code)
+        line = [argument, ca.jacobian(argument, term.symbol)]
+        value, slope = ca.Function("line", [term.symbol], line)(0)
+        knots = np.array([float(number) for number in numbers.split(",")])
+        found.append((knots - float(value)) / float(slope))
+    return np.unique(np.concatenate([np.empty(0), *found]))

@@ -1,0 +1,170 @@
+"""An FMU names the places where a term of one state changes: no importer steps over them."""
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from casadi import SX
+from fmpy.fmi2 import FMU2Slave
+
+import cosim
+from casadi_models.dae.inner_terms import inner_terms
+from cosim.codegen.landmarks import landmarks
+
+SPEED, HEIGHT, PLACE, WIDTH = 10.0, 0.05, 50.3, 1e-3  # m/s, m
+INTERFACES = ["CoSimulation", "ModelExchange"]
+
+
+def on_road(road, kind=SX, **values):
+    """Return a mass on a spring and a damper over a road that parameters describe."""
+    t, x, p = kind.sym("t"), kind.sym("x", 3), [kind.sym(name) for name in values]
+    ode = ca.vertcat(SPEED, x[2], -25 * (x[1] - road(x[0], *p)) - x[2])
+    laws = {"t": t, "x": x, "ode": ode} | ({"p": ca.vertcat(*p)} if p else {})
+    return cosim.from_casadi(laws, values, name="road", stop_time=7, output_interval=0.5)
+
+
+def gauss(s, place, width):
+    return HEIGHT * ca.exp(-(((s - place) / width) ** 2))
+
+
+def two_slopes(s, begin, end):
+    return HEIGHT / 2 * (ca.tanh((s - begin) / WIDTH) - ca.tanh((s - end) / WIDTH))
+
+
+def product(s, place, other):
+    return HEIGHT * ca.exp(-(((s - place) / WIDTH) ** 2) - ((s - other) / WIDTH) ** 2)
+
+
+def after_an_impulse(area, place=PLACE):
+    """Return the height at 7 s after a narrow bump, from the response to an impulse."""
+    t, w = 7 - place / SPEED, np.sqrt(25 - 0.25)
+    return 25 * area / SPEED * np.exp(-t / 2) * np.sin(w * t) / w
+
+
+def heights(path, **options):
+    return [cosim.simulate_fmu(path, interface=i, **options)["x_2"][-1] for i in INTERFACES]
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_no_importer_steps_over_a_bump_that_parameters_move(fmi, tmp_path):
+    dae = on_road(gauss, place=PLACE, width=WIDTH)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu", fmi=fmi)
+    area = HEIGHT * np.sqrt(np.pi)
+    np.testing.assert_allclose(heights(path), after_an_impulse(area * WIDTH), rtol=1e-3)
+    moved = heights(path, start_values={"place": 33.3, "width": 1e-2})
+    np.testing.assert_allclose(moved, after_an_impulse(area * 1e-2, 33.3), rtol=1e-3)  # before: 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["linear", "bspline"])
+def test_no_importer_steps_over_a_bump_of_a_table(kind, tmp_path):
+    knots = np.linspace(0, 200, 2001)
+    rows = np.where((knots > 50.25) & (knots < 50.35), HEIGHT, 0.0)  # one knot: a hat
+    table = ca.interpolant("table", kind, [knots], rows)
+    path = cosim.export_fmu(on_road(table, ca.MX), tmp_path / "x.fmu")
+    np.testing.assert_allclose(heights(path), after_an_impulse(HEIGHT * 0.1), rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_two_opposite_slopes_of_one_state_are_a_bump(tmp_path):
+    dae = on_road(two_slopes, begin=PLACE, end=PLACE + 3 * WIDTH)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    middle = PLACE + 1.5 * WIDTH
+    right = after_an_impulse(HEIGHT * 3 * WIDTH, middle)
+    np.testing.assert_allclose(heights(path), right, rtol=1e-3)
+
+
+def test_a_place_follows_a_parameter_that_is_tuned_in_a_run(tmp_path):
+    dae = on_road(gauss, place=PLACE, width=WIDTH)
+    path = str(cosim.export_fmu(dae, tmp_path / "x.fmu", tunable=["place"]))
+    description = fmpy.read_model_description(path)
+    numbers = {v.name: v.valueReference for v in description.modelVariables}
+    unzipped = fmpy.extract(path)
+    area = HEIGHT * WIDTH * np.sqrt(np.pi)
+    for place, right in (
+        (45.3, after_an_impulse(area, 45.3)),
+        (60.3, after_an_impulse(area, 60.3)),
+        (30.0, after_an_impulse(area / 2, 30.0)),  # where it is: half of it is ahead
+        (20.3, 0.0),  # behind
+    ):
+        fmu = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=unzipped,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+        )
+        fmu.instantiate()
+        fmu.setupExperiment(startTime=0, stopTime=7)
+        fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        for k in range(14):
+            if k == 6:
+                fmu.setReal([numbers["place"]], [place])
+            fmu.doStep(currentCommunicationPoint=k / 2, communicationStepSize=0.5)
+        (height,) = fmu.getReal([numbers["x_2"]])
+        assert abs(height - right) <= 1e-3 * abs(right)
+        fmu.terminate()
+        fmu.freeInstance()
+
+
+@pytest.mark.slow
+def test_an_fmu_warns_of_a_parameter_that_no_place_follows(tmp_path):
+    dae = on_road(product, place=PLACE, other=PLACE)
+    path, said = cosim.export_fmu(dae, tmp_path / "x.fmu"), []
+    for start in ({}, {"other": PLACE + WIDTH}):
+        said.clear()
+        fmpy.simulate_fmu(
+            path, start_values=start, debug_logging=True, logger=lambda *m: said.append(m[-1])
+        )
+        assert any(b"other moves a short change" in text for text in said) == bool(start)
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        lambda v: ca.tanh(v / 0.01),  # a step over it sees other values before and after
+        lambda v: ca.tanh(v / 0.01) * (1 + 0.5 * ca.exp(-((v / 0.1) ** 2))),  # Stribeck
+        lambda v: 1 / (v - 0.5) ** 2,  # a pole is no bump
+        lambda v: 1 / (1.5 + ca.cos(v)),  # it rests nowhere
+        lambda v: ca.exp(v),
+        lambda v: ca.sqrt(v),
+        lambda v: v**3,
+    ],
+)
+def test_terms_that_steps_see_have_no_places(force):
+    x, v = SX.sym("x"), SX.sym("v")
+    ode = ca.vertcat(v, -9 * x - force(v))
+    dae = cosim.from_casadi({"x": ca.vertcat(x, v), "ode": ode}, {"x": 1.0})
+    assert landmarks(dae).arguments.numel() == 0
+
+
+def test_one_slope_in_two_equations_has_no_places():
+    x, v, w = SX.sym("x"), SX.sym("v"), SX.sym("w")
+    friction = ca.tanh(v / 0.01)
+    ode = ca.vertcat(v, -9 * x - 2 * friction, 3 * friction)
+    dae = cosim.from_casadi({"x": ca.vertcat(x, v, w), "ode": ode})
+    assert landmarks(dae).arguments.numel() == 0
+
+
+def test_a_function_with_two_arguments_and_two_results_has_no_places():
+    a, b = SX.sym("a"), SX.sym("b")
+    both = ca.Function("both", [a, b], [ca.exp(-(a**2)) * b, a], {"never_inline": True})
+    x = SX.sym("x", 2)
+    ode = ca.vertcat(both(x[0], 2)[0], both(x[1], 3)[1])
+    dae = cosim.from_casadi({"x": x, "ode": ode})
+    assert landmarks(dae).arguments.numel() == 0
+
+
+def test_a_term_is_a_function_of_what_parameters_shift():
+    dae = on_road(two_slopes, begin=PLACE, end=PLACE)
+    found = inner_terms(dae)
+    assert [term.moving for term in found] == [0, 0]
+    assert not any(term.given for term in found)
+    (height, *_) = inner_terms(on_road(product, place=PLACE, other=PLACE))
+    assert height.given == (0, 1)
+
+
+def test_a_model_with_too_many_places_is_exported_with_a_warning():
+    x, y = SX.sym("x"), SX.sym("y")
+    bumps = sum(ca.exp(-(((x - 3 * k) * 100) ** 2)) for k in range(40))
+    dae = cosim.from_casadi({"x": ca.vertcat(x, y), "ode": ca.vertcat(1, bumps)})
+    assert landmarks(dae).passed == (dae.states[0].name,)
