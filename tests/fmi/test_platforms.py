@@ -102,7 +102,7 @@ def libraries(path: Path) -> dict[str, list[tuple[str, str]]]:
 
 
 @needs_zig
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_machine_makes_binaries_for_every_system(tmp_path):
     path = cosim.export_fmu(decay(), tmp_path / "model.fmu", platforms=["all"])
     assert libraries(path) == {

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.random_models import random_model
+from helpers.samples import sampled
 
 import cosim
 
@@ -192,7 +193,7 @@ def test_stop_at_the_last_time_is_no_failure():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, 40, 10))
+@pytest.mark.parametrize("first", sampled(range(0, 40, 10), (), [0]))
 def test_jacobians_of_random_models_with_relations_are_differences(first):
     """Every one is right, or the run is rejected."""
     right = [is_difference(random_model(seed)) for seed in range(first, first + 10)]

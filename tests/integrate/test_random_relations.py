@@ -33,7 +33,7 @@ def is_right(seed, solver, *, algebraic=False, **options):
     return True
 
 
-@pytest.mark.parametrize("first", sampled(range(0, 200, BLOCK), (), range(0, 80, BLOCK)))
+@pytest.mark.parametrize("first", sampled(range(0, 200, BLOCK), (), range(0, 40, BLOCK)))
 def test_random_models_are_right_or_rejected(first):
     right = [is_right(seed, "cvodes") for seed in range(first, first + BLOCK)]
     assert right.count(False) <= MOST_REJECTED

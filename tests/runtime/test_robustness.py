@@ -3,6 +3,7 @@
 import pytest
 from helpers import toy
 from helpers.harness import SANITIZED, THREADED, WRAPPED, fuzzers, program, run
+from helpers.samples import sampled
 
 SOLVERS = ["step", "dop853"]
 with_each_solver = pytest.mark.parametrize("solver", SOLVERS, scope="session")
@@ -34,7 +35,7 @@ def test_random_calls_do_no_harm_to_a_model_with_events(fuzzer, version):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", sampled([1, 2, 3], (), [1]))
 @pytest.mark.parametrize("solver", ["dop853 events", "rosenbrock events"])
 @pytest.mark.parametrize("version", [2, 3])
 def test_many_random_calls_do_no_harm_to_a_model_with_events(fuzzer, solver, version, seed):
@@ -43,7 +44,7 @@ def test_many_random_calls_do_no_harm_to_a_model_with_events(fuzzer, solver, ver
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", sampled([1, 2, 3], (), [1]))
 @pytest.mark.parametrize("version", [2, 3])
 def test_many_random_calls_do_no_harm(fuzzer, solver, version, seed):
     # a million reach every line of the runtime that four million do; more: -m nightly

@@ -2,6 +2,7 @@
 
 import pytest
 from helpers.fmu_files import set_attributes, with_description
+from helpers.samples import sampled
 from helpers.wrapped import wrapped
 
 from cosim.errors import FmuError
@@ -168,12 +169,15 @@ def found(path):
     return {(one.level, one.rule) for one in (*examine(path), *trials)}
 
 
+MUTATIONS = [*IN_C, *IN_XML]
+
+
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
     return found(wrapped(tmp_path_factory.mktemp("sound")))
 
 
-@pytest.mark.parametrize("name", [*IN_C, *IN_XML])
+@pytest.mark.parametrize("name", sampled(MUTATIONS, (), MUTATIONS[::2]))
 def test_mutation_is_found(name, sound, tmp_path):
     if name in IN_C:
         function, body = IN_C[name]
