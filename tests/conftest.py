@@ -18,10 +18,6 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # commands that tests run start
 sys.dont_write_bytecode = False
 
 
-# Tests that take more than 2 s; written from the output of `pytest --durations`
-SLOW = frozenset(Path(__file__).with_name("slow.txt").read_text(encoding="utf-8").splitlines())
-
-
 TIME_LIMIT = 600  # s; the slowest test takes about 100 s on two busy cores
 
 
@@ -35,11 +31,13 @@ def pytest_configure() -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark the tests of slow.txt as slow, and give every test a time limit but the nightly ones.
+    """Mark slow rows of tables, and give every test a time limit but the nightly ones.
 
     A thread ends the session at the limit: signals belong to the tests, and would not end C code.
     """
-    if item.nodeid in SLOW:
+    row = item.nodeid.partition("[")[2][:-1]
+    slow, quick = (item.get_closest_marker(f"{kind}_rows") for kind in ("slow", "quick"))
+    if (slow and row in slow.args) or (quick and row not in quick.args):
         item.add_marker("slow")
     if item.config.pluginmanager.has_plugin("timeout") and not item.get_closest_marker("nightly"):
         item.add_marker(pytest.mark.timeout(TIME_LIMIT, method="thread"), append=False)

@@ -87,6 +87,7 @@ def test_times_of_one_s_own_need_not_hold_the_start():
     assert cosim.simulate(DAE, output_times=[0, 1], compiled=False).time.tolist() == [0, 1]
 
 
+@pytest.mark.slow_rows("erk")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "dop853"])
 def test_run_at_other_times_has_the_accuracy_of_the_solver(solver):
     run = cosim.simulate(
@@ -103,6 +104,7 @@ def test_run_at_other_times_has_the_accuracy_of_the_solver(solver):
 # -- until a condition is true --------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows("erk")
 @pytest.mark.parametrize("solver", ["cvodes", "dop853", "erk", "rk4", "idas"])
 def test_stop_is_located_as_accurately_as_the_run(solver):
     run = cosim.simulate("crank_shaft", stop_when="phi > 1000deg", solver=solver)

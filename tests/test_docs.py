@@ -61,6 +61,9 @@ BY_PAGE = [
 ]
 
 
+@pytest.mark.slow_rows(
+    "README", "animate", "coupling", "events", "examples", "figures", "fit", "fmu", "kane", "scenes"
+)
 @pytest.mark.parametrize("page", BY_PAGE)
 def test_python_of_a_page_runs_from_top_to_bottom(page, tmp_path):
     (tmp_path / "examples").symlink_to(ROOT / "examples")

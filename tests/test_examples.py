@@ -24,6 +24,7 @@ def examples(value, name):
     return [test for test in found if test.examples]
 
 
+@pytest.mark.slow_rows("Comparison", "couple", "reference", "sensitivity", "simulate_many")
 @pytest.mark.parametrize("name", [n for n in cosim.__all__ if n not in MODULES])
 def test_examples_of_a_public_name_hold(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -46,6 +46,7 @@ def test_each_thread_has_its_own_engine():
     assert built[0] is not built[1]
 
 
+@pytest.mark.slow_rows("rosenbrock-True")
 @pytest.mark.parametrize(("solver", "compiled"), WAYS)
 def test_run_does_not_depend_on_those_before_it(solver, compiled):
     options = {"solver": solver, "stop_time": 1.0, "output_interval": 0.1, "compiled": compiled}

@@ -95,12 +95,14 @@ def test_terminal_shows_the_share_of_simulated_time_and_the_time_left(seen):
     assert re.search(r"solving: \d+ %\|.*\| \d\d:\d\d, \d\d:\d\d left", text)
 
 
+@pytest.mark.slow
 def test_bars_are_gone_at_the_end_and_have_no_color(seen):
     (_, _, text), _ = seen
     assert not re.search(r"\x1b\[[\d;]*m", text)
     assert not text.split("\r")[-1].strip()
 
 
+@pytest.mark.slow
 def test_pipe_gets_no_progress(seen):
     _, pipe = seen
     assert pipe.returncode == 0

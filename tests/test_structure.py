@@ -122,10 +122,3 @@ def test_every_folder_of_tests_belongs_to_a_package():
     folders = {p.name for p in (ROOT / "tests").iterdir() if p.is_dir() and p.name[0] not in "_."}
     packages = {p.name for p in FOLDERS["cosim"].iterdir() if p.is_dir() and p.name[0] not in "_."}
     assert folders - set(CROSSING) <= packages
-
-
-def test_every_test_listed_as_slow_exists():
-    for line in (ROOT / "tests/slow.txt").read_text(encoding="utf-8").splitlines():
-        path, _, name = line.partition("::")
-        function = name.partition("[")[0].rpartition("::")[2]
-        assert f"def {function}(" in (ROOT / path).read_text(encoding="utf-8"), line

@@ -11,12 +11,14 @@ def animate(*words):
     return main(["animate", *map(str, words), "-q"])
 
 
+@pytest.mark.slow
 def test_scene_is_shown_with_everything_that_its_bodies_need(tmp_path):
     target = tmp_path / "x.png"
     assert animate("bicycle_front_contact.toml", "--stop-time", "0.5", "-o", target) == 0
     assert target.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_result_in_a_file_is_recognized(tmp_path, capsys):
     table, target = tmp_path / "run.csv", tmp_path / "x.png"
     assert main(["simulate", "crank_shaft", "--stop-time", "0.5", "--output-file", str(table)]) == 0
@@ -25,6 +27,7 @@ def test_result_in_a_file_is_recognized(tmp_path, capsys):
     assert target.exists()
 
 
+@pytest.mark.slow
 def test_fmu_is_shown_by_the_model_that_it_is_named_after(tmp_path):
     fmu, target = tmp_path / "crank.fmu", tmp_path / "x.png"
     assert main(["export", "crank_shaft", "-o", str(fmu), "-q"]) == 0

@@ -156,6 +156,7 @@ def test_error_shows_its_origin_when_debugging():
         main(["info", "bycicle", "--debug"])
 
 
+@pytest.mark.slow
 def test_model_that_cannot_be_exported_leaves_the_table_of_the_others(tmp_path, capsys):
     (tmp_path / "word.py").write_text(BLOW_UP.replace("blow_up", "while").replace("x**2", "-x"))
     line = ["crosscheck", "crank_shaft/driven", f"{tmp_path}/word.py:build", "--stop-time", "0.1"]
@@ -220,6 +221,7 @@ def test_json_holds_the_numbers_of_the_csv(capsys):
     np.testing.assert_array_equal(np.column_stack([*facts["values"].values()]), rows)
 
 
+@pytest.mark.slow
 def test_closed_pipe_is_no_error():
     script = "from cosim.cli.main import main; raise SystemExit(main())"
     command = [sys.executable, "-c", script, "simulate", "bicycle", *INTERPRETED]
@@ -256,6 +258,7 @@ def test_help_needs_neither_casadi_nor_numpy():
     assert "--stop-time" in run.stdout
 
 
+@pytest.mark.slow
 def test_info_reads_scenes_and_fmus(exported, capsys):
     assert main(["info", "bicycle_model_1.toml"]) == 0
     text = capsys.readouterr().out
@@ -268,6 +271,7 @@ def test_info_reads_scenes_and_fmus(exported, capsys):
     assert starts["alpha"] == 10.0
 
 
+@pytest.mark.slow
 def test_recorded_catalogue_is_that_of_the_models():
     recorded = json.loads(summary.FILE.read_text())
     stale = [n for n in casadi_models.CATALOG if recorded.get(n) != summary.facts_of(n)]
@@ -309,6 +313,7 @@ def test_help_lists_daily_verbs_first_and_the_cache_last(capsys):
     assert [*VERBS][-1] == "cache"
 
 
+@pytest.mark.slow
 def test_backend_of_a_run_is_chosen_by_name(capsys):
     line = ["simulate", "crank_shaft", "--stop-time", "0.02", "--outputs", "phi"]
     runs = []
@@ -328,6 +333,7 @@ def test_equilibrium_is_a_point_to_linearize_at(capsys):
     assert end.value.code == 2
 
 
+@pytest.mark.slow
 def test_exported_fmu_starts_with_the_values_of_the_command_line(tmp_path):
     path = tmp_path / "crank.fmu"
     words = ["export", "crank_shaft", "-p", "alpha=5", "-p", "omega=600rpm", "--reference", "none"]

@@ -39,6 +39,7 @@ BOOK = [
 ]
 
 
+@pytest.mark.slow_rows("bicycle_model_2.toml --at 20 --units book --outputs psi")
 @pytest.mark.parametrize(("line", "printed", "units"), BOOK, ids=[line[0] for line in BOOK])
 def test_printed_number_comes_out_of_one_command(line, printed, units, capsys):
     found, own = numbers(capsys, f"simulate {line}")
@@ -66,6 +67,7 @@ def test_file_in_the_book_s_units_names_them_in_its_second_line(tmp_path, capsys
     assert "no kind of units 'imperial'; it has si, book" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_accuracy_may_have_the_unit_of_the_outputs(tmp_path, capsys):
     line = ["simulate", "crank_shaft", "--outputs", "phi", "--stop-time", "0.2"]
     line += ["-o", str(tmp_path / "a.csv")]
@@ -76,6 +78,7 @@ def test_accuracy_may_have_the_unit_of_the_outputs(tmp_path, capsys):
     assert capsys.readouterr().err.split(";")[0] == by_unit.split(";")[0]
 
 
+@pytest.mark.slow
 def test_values_along_a_parameter_may_have_a_unit(capsys):
     line = ["linearize", "bicycle", "--equilibrium", "-q", "--along"]
     tables = []
@@ -100,6 +103,7 @@ def test_terminal_shows_a_summary_and_a_pipe_receives_every_row(monkeypatch, cap
     assert "every output time: -o FILE.csv" in printed.err
 
 
+@pytest.mark.slow
 def test_inputs_come_as_formulas_and_files_and_runs_stop(tmp_path, capsys):
     (tmp_path / "torque.csv").write_text("time,steer_torque\n0,0\n1,1\n")
     outputs = ["--outputs", "phi", *INTERPRETED, "--at", "0.5"]
@@ -120,6 +124,7 @@ def test_inputs_come_as_formulas_and_files_and_runs_stop(tmp_path, capsys):
     assert printed.err.startswith("stopped where phi > 360deg from 0.1241")
 
 
+@pytest.mark.slow_rows("ode45-erk")
 @pytest.mark.parametrize(
     ("alias", "name"), [("ode45", "erk"), ("ode15s", "cvodes"), ("ode4", "rk4")]
 )
@@ -190,6 +195,7 @@ def test_shipped_scene_is_copied_to_a_new_file(tmp_path, monkeypatch, capsys):
     assert "mine.toml exists" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_plot_of_a_result_draws_the_outputs_that_are_named(tmp_path, capsys):
     result, picture = tmp_path / "bicycle.csv", tmp_path / "phi.png"
     assert main(["simulate", "bicycle", "--stop-time", "0.1", "-q", "-o", str(result)]) == 0
@@ -197,6 +203,7 @@ def test_plot_of_a_result_draws_the_outputs_that_are_named(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["files"] == [str(picture)]  # all take two pages
 
 
+@pytest.mark.slow
 def test_export_and_plot_report_written_files_as_json(tmp_path, capsys):
     picture = tmp_path / "a.png"
     assert main(["plot", "crank_torque.toml", "-o", str(picture), "--json"]) == 0

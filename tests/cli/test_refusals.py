@@ -151,6 +151,11 @@ def test_other_verbs_reject_invalid_numbers(line, refused):
 # -- names that do not exist: 3 -------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows(
+    "simulate bicycle --outputs Phi-no output 'Phi'; did you mean phi",
+    "simulate bicycle --outputs phi,-no output ''",
+    "export bicycle --outputs speeed-no output 'speeed'; did you mean speed",
+)
 @pytest.mark.parametrize(
     ("line", "expected"),
     [

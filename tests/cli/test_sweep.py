@@ -43,6 +43,7 @@ def test_a_failed_run_is_a_row_and_an_error_if_requested(strict, expected, capsy
     assert "2 runs: 1 complete, 1 refused" in printed.err
 
 
+@pytest.mark.slow
 def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
     pytest.importorskip("zarr")
     words = ["sweep", "crank_shaft", "--outputs", "phi", "--times", "1", "--workers", "0",

@@ -36,6 +36,17 @@ def point(dae: Dae) -> tuple[np.ndarray, np.ndarray]:
     return start + 0.05 * nominal * np.random.default_rng(3).standard_normal(len(start)), start
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers-2",
+    "crank_shaft/multipliers-3",
+    "bar_on_frame/reduced-2",
+    "bar_on_frame/reduced-3",
+    "bicycle/multipliers-2",
+    "bicycle/multipliers-3",
+    "disk_two_bars/reduced-3",
+    "double_pendulum/quaternion-2",
+    "double_pendulum/quaternion-3",
+)
 @VERSIONS
 @EVERY
 def test_variables_start_values_equations_and_derivatives_are_the_models(name, fmi, exported):
@@ -64,6 +75,7 @@ def test_variables_start_values_equations_and_derivatives_are_the_models(name, f
         assert np.abs(mine - theirs).max(initial=0) < 1e-12 * size  # measured 1e-15
 
 
+@pytest.mark.slow
 @VERSIONS
 def test_cvodes_through_the_fmu_is_the_native_run(fmi, exported):
     dae = cosim.load("bicycle/independent")
@@ -81,6 +93,7 @@ def test_cvodes_through_the_fmu_is_the_native_run(fmi, exported):
     assert np.abs((end - wanted) / nominal).max() < 1e-7  # 1000 tolerances
 
 
+@pytest.mark.slow
 def test_forward_sensitivities_to_all_parameters_are_those_of_differences(tmp_path):
     """Every parameter that matters in a run, asked to be tunable: geometry and inertias, too."""
     dae = cosim.load("bicycle/independent")

@@ -31,11 +31,13 @@ def ride(pair: Pair, step: float) -> np.ndarray:
     return np.array(values)
 
 
+@pytest.mark.slow
 def test_rider_keeps_the_bicycle_up_in_ecos(pair):
     fine, coarse = ride(pair, 0.001), ride(pair, 0.002)
     np.testing.assert_allclose(2 * fine - coarse, pair.expected, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parameter_files", [False, True])
 def test_ecos_runs_the_pair_from_one_ssp_file(pair, tmp_path, parameter_files):
     path = cosim.fmi.ssp.write_ssp(

@@ -10,6 +10,7 @@ pytest.importorskip("fmuloader")
 NAME, STOP, STEPS = "bar_on_frame/reduced", 1.0, 100
 
 
+@pytest.mark.slow_rows("2")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_run_in_fmuloader_is_the_native_one(fmi, exported):
     path = str(exported(NAME, fmi))

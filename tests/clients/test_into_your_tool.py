@@ -34,6 +34,7 @@ def near(text):
     return pytest.approx([float(word) for word in re.findall(r"0\.0\d+", text)[-2:]], abs=2e-9)
 
 
+@pytest.mark.slow
 def test_fmpy_prints_the_numbers_of_the_page(folder):
     shown = block("console", "fmpy simulate")
     line = re.search(r"\$ fmpy (.*)", shown)[1].split()
@@ -57,6 +58,7 @@ def test_ecos_prints_the_numbers_of_the_page(folder, monkeypatch, capfd):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="the command of the page is for gcc")
 def test_own_c_program_prints_the_numbers_of_the_page(folder):
     zipfile.ZipFile(folder / "bicycle.fmu").extractall(folder / "bicycle")

@@ -32,6 +32,7 @@ def ride(pair: Pair, step: float, *, coupled: bool = True) -> np.ndarray:
     return np.array(observer.last_real_values(index["bicycle"], [bike["phi"], bike["delta"]]))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="libcosim logs and paths are tested on Linux")
 def test_rider_keeps_the_bicycle_up_where_it_falls_alone(pair):
     assert abs(ride(pair, 0.01)[0]) < 1e-3  # rad; measured 3e-4

@@ -272,6 +272,7 @@ def test_folders_of_other_names_are_left_alone(tmp_path, name):
 # -- many at once ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @posix
 def test_twenty_processes_with_a_cold_cache_compile_once(folder, tmp_path):
     program = f"""

@@ -74,6 +74,7 @@ def judge(run: cosim.Trajectory) -> None:
     assert run["power_1"][-1] == pytest.approx(2 * EXACT["x_1"], abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["a library with its C code", "compiled by CasADi"])
 def test_library_is_right_in_machine_code_and_fmus(generated, how, tmp_path):
     dae = model(imported(generated, how))
@@ -87,6 +88,7 @@ def test_library_is_right_in_machine_code_and_fmus(generated, how, tmp_path):
         judge(cosim.simulate_fmu(path, interface=interface, **END))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["rosenbrock", "erk"])
 def test_generated_integrators_call_the_library(generated, solver, tmp_path):
     dae = model(imported(generated, ""), SX)
@@ -140,6 +142,7 @@ def test_c_code_that_does_not_compile_is_rejected(generated, tmp_path):
         cosim.export_fmu(dae, tmp_path / "m.fmu")
 
 
+@pytest.mark.slow
 def test_finite_differences_stand_in_for_derivatives(by_hand, tmp_path):
     """x' = -2 sin x: tan(x/2) falls as exp -2t."""
     x, library = MX.sym("x"), str(by_hand.with_name(f"libbare{SUFFIX}"))

@@ -25,6 +25,7 @@ def results(code: str, folder, name: str, arguments) -> list[np.ndarray]:
     return [np.array(r) for r in ca.external("f", str(path)).call(arguments)]
 
 
+@pytest.mark.slow_rows("300")
 @pytest.mark.parametrize("size", [300, 5000])
 def test_pieces_give_the_same_bits(size, tmp_path):
     dae = cosim.load("bicycle/independent")

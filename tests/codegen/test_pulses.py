@@ -46,6 +46,16 @@ def ends_of(dae, step=0.1):
     return pulse_times(dae, p, 0.0, 10.0, step)
 
 
+@pytest.mark.slow_rows(
+    "dop853-0.001",
+    "erk-0.001",
+    "erk-0.01",
+    "erk-0.1",
+    "rosenbrock-0.001",
+    "rosenbrock-0.01",
+    "rosenbrock-0.1",
+    "ode8-0.001",
+)
 @pytest.mark.parametrize("width", [1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("solver", ERRORS)
 def test_no_gauss_pulse_is_stepped_over(solver, width):
@@ -65,6 +75,7 @@ def test_a_pulse_in_a_formula_of_an_input_is_seen():
     assert run.final["v"] == pytest.approx(5e-4 * np.sqrt(np.pi), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_pulse_beside_a_large_slow_term_is_seen():
     dae = spring(lambda t: 100 * ca.sin(t) + gauss(t, 5.0, 1e-3))
     plain = cosim.simulate(spring(lambda t: 100 * ca.sin(t)), solver="dop853", **options("dop853"))
@@ -103,6 +114,7 @@ def test_terms_of_states_are_no_terms_of_time():
     assert ends_of(model.freeze()).size == 0
 
 
+@pytest.mark.slow_rows("2")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_no_gauss_pulse_is_stepped_over_by_an_fmu(fmi, tmp_path):
     dae = spring(lambda t, width: gauss(t, 5.0, width), width=1e-3)
@@ -138,6 +150,7 @@ def test_integrator_warns_of_pulses():
         cosim.integrator(dae, [0.0, 10.0], solver="erk", compiled=False)
 
 
+@pytest.mark.slow
 def test_longest_step_of_an_fmu_is_kept():
     dae = spring(lambda t: gauss(t, 5.0, 0.02))
     request = requested(dae, max_step=1e-3, relative_tolerance=1e-3)

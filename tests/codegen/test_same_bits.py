@@ -62,6 +62,9 @@ def compiled_for(processor, code, options, folder):
     return compiling.compile_library([source], library, options=options)
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers", "bicycle/multipliers", "double_pendulum/quaternion"
+)
 @pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 def test_no_library_of_a_formulation_has_a_fused_instruction(name, tmp_path):
     for code, options in compiler_calls(name):

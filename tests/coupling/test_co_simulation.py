@@ -38,6 +38,7 @@ CASES.remove("cut_pendulum 1e-08")  # beyond the rounding of its stiff hinge
 SAMPLE = ["ride 1e-06", "loop 1e-08", "quarter_car 0.001"]
 
 
+@pytest.mark.slow_rows("ride 1e-06", "quarter_car 0.001", "loop 1e-08")
 @pytest.mark.parametrize("case", sampled(CASES, SAMPLE))
 def test_error_is_at_most_what_was_asked_for(case):
     name, accuracy = case.split()[0], float(case.split()[1])
@@ -47,6 +48,7 @@ def test_error_is_at_most_what_was_asked_for(case):
     assert run.stats["error_estimate"] <= accuracy
 
 
+@pytest.mark.slow
 def test_accuracy_that_the_rounding_of_a_stiff_hinge_does_not_allow_is_an_error():
     system = read_system(f"{FOLDER}/cut_pendulum.toml")
     with pytest.raises(SolverError, match="does not reach the accuracy 1e-12") as caught:
@@ -54,6 +56,7 @@ def test_accuracy_that_the_rounding_of_a_stiff_hinge_does_not_allow_is_an_error(
     assert len(caught.value.partial) == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "order"), [("jacobi", 1), ("gauss_seidel", 1), ("extrapolated", 4), ("iterated", 4)]
 )
@@ -69,6 +72,7 @@ def test_order_of_a_method(name, method, order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
 
 
+@pytest.mark.slow
 def test_stiff_hinge_is_stable_by_iteration_at_10_ms_and_diverges_without():
     system = read_system(f"{FOLDER}/cut_pendulum.toml")
     exact = reference(system)
@@ -82,6 +86,7 @@ def test_stiff_hinge_is_stable_by_iteration_at_10_ms_and_diverges_without():
     assert np.abs(held["upper.x"] - exact["upper.x"]).max() > 1
 
 
+@pytest.mark.quick_rows("three_masses-jacobi")
 @pytest.mark.parametrize("method", ["iterated", "extrapolated", "jacobi"])
 @pytest.mark.parametrize("name", ["quarter_car", "three_masses", "digital_ride"])
 def test_order_of_the_parts_changes_no_bit(name, method):
@@ -97,6 +102,12 @@ def test_order_of_the_parts_changes_no_bit(name, method):
         np.testing.assert_array_equal(runs[0][column], runs[1][column])
 
 
+@pytest.mark.slow_rows(
+    "driven_frame-iterated",
+    "digital_ride-iterated",
+    "digital_ride-jacobi",
+    "digital_ride-extrapolated",
+)
 @pytest.mark.parametrize(
     "ways",
     [{"accuracy": 1e-5}, *({"macro_step": 0.01, "method": m} for m in ("jacobi", "extrapolated"))],
@@ -114,6 +125,7 @@ def test_threads_change_no_bit(name, ways):
     assert together.events == alone.events
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_system_have_equal_bits():
     system = read_system(f"{FOLDER}/ride.toml")
     first, second = (system.simulate(stop_time=0.5, accuracy=1e-5) for _ in range(2))
@@ -128,6 +140,7 @@ def test_statistics_say_what_was_done():
     assert stats["part_steps"]["a"] >= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["quarter_car", "loop"])
 def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
     """They ask for their inputs within a step, at four times."""
@@ -154,6 +167,7 @@ def test_files_of_fmi_3_take_the_same_cubics_as_those_of_fmi_2(name, tmp_path):
     assert error_of(third_run, second_run) < 1e-9
 
 
+@pytest.mark.slow_rows("False-2", "False-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("derivatives", [True, False])
 def test_parts_have_the_directional_derivatives_that_their_files_declare(
@@ -184,6 +198,7 @@ def single(name, slope, start=0.0, output=None):
     return model.freeze()
 
 
+@pytest.mark.slow
 def test_jump_of_an_output_is_found_by_the_macro_steps():
     jump = single("jump", lambda x, u: 1 - x + 0 * u, output=lambda x, t: x + (t > 0.3))
     follower = single("follower", lambda x, u: u)
@@ -191,6 +206,7 @@ def test_jump_of_an_output_is_found_by_the_macro_steps():
     assert run.final["b.x"] == pytest.approx(np.exp(-1.0) + 0.7, abs=1e-6)
 
 
+@pytest.mark.slow_rows("False")
 @pytest.mark.parametrize("threads", [False, True])
 def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before(threads):
     growth = single("growth", lambda x, u: x**2 + 0 * u, start=1.0)
@@ -232,6 +248,7 @@ def test_nonsense_is_rejected(changes, kind, words):
         )
 
 
+@pytest.mark.slow
 def test_pulse_between_communication_points_is_not_stepped_over():
     """A Gauss of 20 ms after a rest of 5 s, with macro steps of up to a second: its integral."""
 

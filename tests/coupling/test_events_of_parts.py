@@ -91,6 +91,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", SYSTEMS)
 def test_events_end_macro_steps_so_that_their_error_is_that_of_the_coupling(make):
     system = cosim.couple(*make())
@@ -109,6 +110,7 @@ def test_events_end_macro_steps_so_that_their_error_is_that_of_the_coupling(make
         assert times[0] == times[1]
 
 
+@pytest.mark.slow_rows("relay-{'accuracy': 1e-06}", "block-{'accuracy': 1e-06}")
 @pytest.mark.parametrize("ways", [{"accuracy": 1e-6}, {"macro_step": 0.02}], ids=str)
 @pytest.mark.parametrize("make", [relay, block])
 def test_threads_change_nothing_where_events_end_steps(make, ways):
@@ -119,6 +121,7 @@ def test_threads_change_nothing_where_events_end_steps(make, ways):
     assert together.events == alone.events
 
 
+@pytest.mark.slow
 def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
     source, counter = part("source"), part("counter")
     level = source.discrete("level", "1", 0.0, "level")
@@ -137,6 +140,7 @@ def test_an_event_that_another_part_causes_at_an_output_time_is_in_its_row():
         np.testing.assert_array_equal(run["b.count"], exact["b.count"])
 
 
+@pytest.mark.slow_rows("time")
 @pytest.mark.parametrize("of", ["time", "state"])
 def test_a_relation_in_an_output_that_drives_a_part_is_an_event(of):
     source, body = part("source"), part("body")
@@ -152,6 +156,7 @@ def test_a_relation_in_an_output_that_drives_a_part_is_an_event(of):
         assert [event.time for event in run.events] == pytest.approx([1.111], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_an_event_soon_before_the_end_of_the_run_ends_its_macro_step():
     when = 2.9999
     clock = part("clock")
@@ -165,6 +170,7 @@ def test_an_event_soon_before_the_end_of_the_run_ends_its_macro_step():
     assert run.final["plant.x"] == pytest.approx(exact.final["plant.x"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_events_that_cause_each_other_without_end_are_an_error():
     def negating(name, sign):
         model = part(name)
@@ -182,6 +188,7 @@ def test_events_that_cause_each_other_without_end_are_an_error():
         system.simulate(stop_time=STOP, macro_step=0.1)
 
 
+@pytest.mark.quick_rows("plant-gauss_seidel")
 @pytest.mark.parametrize("method", ["iterated", "extrapolated", "gauss_seidel"])
 @pytest.mark.parametrize("first", ["clock", "plant"])
 def test_a_part_that_ends_the_run_ends_that_of_the_system(first, method):
@@ -207,6 +214,7 @@ def test_a_part_that_ends_the_run_ends_that_of_the_system(first, method):
     np.testing.assert_allclose(run["plant.x"], exact["plant.x"], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iterated", "gauss_seidel"])
 def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tmp_path):
     clock = part("clock")
@@ -223,6 +231,7 @@ def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tm
     assert run.time[-1] == pytest.approx(exact.time[-1], abs=late)
 
 
+@pytest.mark.slow
 def test_files_that_jump_within_macro_steps_converge_and_the_interface_error_tells(tmp_path):
     parts, wires = relay()
     exact = cosim.simulate(cosim.couple(parts, wires).dae, solver="dop853")
@@ -237,6 +246,7 @@ def test_files_that_jump_within_macro_steps_converge_and_the_interface_error_tel
     assert errors[1] < 0.3 * errors[0] < 0.03
 
 
+@pytest.mark.slow
 def test_files_of_both_versions_sample_until_the_end(tmp_path):
     """Where one has no event mode, macro steps shrink to nearly nothing before a sample."""
     controller, filtered = part("controller"), part("filter")
@@ -260,6 +270,7 @@ def test_files_of_both_versions_sample_until_the_end(tmp_path):
     assert [run["c.k"][row], run["c.k"][row - 1]] == [19, 18]
 
 
+@pytest.mark.slow
 def test_a_reset_by_another_part_that_undoes_its_own_cause_happens_once():
     """An integrator, reset by a comparator as soon as it reaches 1, is a sawtooth."""
     one = cosim.Model("integrator", stop_time=2.0)

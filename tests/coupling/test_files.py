@@ -20,6 +20,7 @@ def ssp(tmp_path_factory):
     return read_system(f"{FOLDER}/ride.toml").write_ssp(tmp_path_factory.mktemp("ssp") / "r.ssp")
 
 
+@pytest.mark.slow
 def test_ssp_gives_the_same_run_as_the_system_that_wrote_it(ssp):
     ways = {"stop_time": 0.5, "output_interval": 0.05, "macro_step": 0.01}
     found = cosim.read_ssp(ssp).simulate(**ways)
@@ -28,11 +29,13 @@ def test_ssp_gives_the_same_run_as_the_system_that_wrote_it(ssp):
     assert found.names == expected.names
 
 
+@pytest.mark.slow
 def test_ssp_keeps_the_name_of_the_system(ssp):
     assert ssp.stem == "r"
     assert cosim.read_ssp(ssp).name == "ride"
 
 
+@pytest.mark.slow
 def test_start_values_in_files_are_read(ssp, tmp_path):
     system = read_system(f"{FOLDER}/ride.toml")
     values = {"rider.lag": 0.04, "bicycle.phi_dot": 0.25}
@@ -43,6 +46,7 @@ def test_start_values_in_files_are_read(ssp, tmp_path):
     assert {".".join(name): value for name, value in found.items()} == values
 
 
+@pytest.mark.slow_rows("0.25 rad/s-0.25")
 @pytest.mark.parametrize(("text", "value"), [("25 deg/s", 25 * np.pi / 180), ("0.25 rad/s", 0.25)])
 def test_start_values_in_another_unit_are_converted(text, value, tmp_path):
     system = cosim.couple({"bicycle": "bicycle"}, {}, start_values={"bicycle.phi_dot": 0.5})
@@ -57,6 +61,7 @@ def test_start_values_in_another_unit_are_converted(text, value, tmp_path):
         cosim.read_ssp(wrong)
 
 
+@pytest.mark.slow_rows('name="phi_dot"-name="phi_dto"-no variable \'phi_dto\'')
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -71,6 +76,7 @@ def test_values_that_cannot_be_set_are_rejected(old, new, words, tmp_path):
         cosim.read_ssp(path)
 
 
+@pytest.mark.slow
 def test_numbers_of_ssp_2_are_read_and_values_for_no_part_rejected(tmp_path):
     system = cosim.couple({"bicycle": "bicycle"}, {}, start_values={"bicycle.phi_dot": 0.5})
     path = system.write_ssp(tmp_path / "own.ssp")
@@ -221,6 +227,7 @@ def test_parts_that_are_fmus_have_no_equations(ssp):
         cosim.read_ssp(ssp).dae  # noqa: B018 # it is computed on demand
 
 
+@pytest.mark.slow
 def test_command_line_runs_the_model_the_co_simulation_and_the_ssp(ssp, tmp_path, capsys):
     ride, runs = f"{FOLDER}/ride.toml", []
     ways = ([ride], [ride, "--method", "iterated"], [str(ssp)])

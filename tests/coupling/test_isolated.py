@@ -23,6 +23,7 @@ def steady(unit):
     return model.freeze()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "limit", "message"),
     [
@@ -42,6 +43,7 @@ def test_foreign_part_ends_the_run_with_one_message(kind, limit, message, tmp_pa
     assert not (tmp_path / "run.csv").exists()
 
 
+@pytest.mark.slow
 def test_part_that_fails_in_a_process_of_its_own_leaves_its_results(tmp_path):
     """A file that was not exported here: the singularity of x' = x^2 at 1 s."""
     model = cosim.Model("growth", stop_time=2.0)

@@ -27,6 +27,7 @@ def whole_quarter_car():
     return model.freeze()
 
 
+@pytest.mark.slow
 def test_quarter_car_is_the_model_written_as_one():
     ways = {"solver": "dop853", "relative_tolerance": 1e-11}
     system = read_system(f"{FOLDER}/quarter_car.toml")
@@ -37,6 +38,7 @@ def test_quarter_car_is_the_model_written_as_one():
     np.testing.assert_allclose(coupled["wheel.force"], force, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_one_model_may_occur_twice_and_units_are_converted():
     def clock(unit, factor):
         model = Model("clock")
@@ -68,6 +70,7 @@ def lag(gain, square=0.0):
     return model.freeze()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [-0.4, -2.5, 0.5])
 def test_linear_loop_is_solved_and_adds_no_unknowns(gain):
     """With y1 = x1 + u1, y2 = x2 + gain u2 and equal x: u1 = y2, u2 = y1."""
@@ -80,6 +83,7 @@ def test_linear_loop_is_solved_and_adds_no_unknowns(gain):
     np.testing.assert_allclose(run["a.u"], whole["a.u"], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_nonlinear_loop_becomes_an_algebraic_unknown():
     system = cosim.couple({"a": lag(0.3), "b": lag(0.3, 0.1)}, {"a.u": "b.y", "b.u": "a.y"})
     assert {v.name for v in system.dae.algebraics} == {"a.u", "b.u"}
@@ -107,6 +111,7 @@ def test_events_limits_and_drawings_of_parts_are_kept():
     assert {symbol.name() for symbol in ca.symvar(motion(system.dae.drawing))} <= known
 
 
+@pytest.mark.slow
 def test_joint_cut_pendulum_starts_at_its_hinge():
     """The start of the lower bar follows from an input: it is settled before the run."""
     system = read_system(f"{FOLDER}/cut_pendulum.toml")

@@ -52,6 +52,7 @@ def test_input_that_nothing_drives_is_listed(toml, capsys):
     assert "driven by nothing: b.u, b.v" in capsys.readouterr().out
 
 
+@pytest.mark.slow_rows("options1")
 @pytest.mark.parametrize("options", [[], ["--method", "jacobi", "--macro-step", "0.5"]])
 def test_run_names_it_once(toml, capsys, options):
     assert main(["simulate", toml(), *options, "-p", "b.u=1"]) == 0

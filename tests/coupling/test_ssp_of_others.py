@@ -59,6 +59,7 @@ def ends(found):
 # Connections
 
 
+@pytest.mark.slow
 def test_connection_written_in_reverse_leads_from_the_output_to_the_input(read):
     linear = '<ssc:LinearTransformation factor="2" offset="1"/>'
     two = connection("g.u", "s.y", linear)
@@ -409,6 +410,7 @@ def test_fault_within_an_inner_file_names_both_files(read, fmus, tmp_path):
         read(system("S", part), inner_ssp=nested.read_bytes())
 
 
+@pytest.mark.slow_rows("12")
 @pytest.mark.parametrize("levels", [5, 12])
 def test_descriptions_that_refer_to_others_many_times_are_rejected(read, levels):
     part = '<ssd:Component name="{}" type="application/x-ssp-definition" source="{}"/>'

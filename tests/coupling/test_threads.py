@@ -14,6 +14,7 @@ RIDE = "examples/coupled/ride.toml"
 TIMES = {"stop_time": 0.2, "accuracy": 1e-3}
 
 
+@pytest.mark.slow
 def test_one_system_in_many_threads_gives_the_same_bits():
     system = read_system(RIDE)
     expected = read_system(RIDE).simulate(**TIMES)
@@ -23,6 +24,7 @@ def test_one_system_in_many_threads_gives_the_same_bits():
         np.testing.assert_array_equal(run.values, expected.values)
 
 
+@pytest.mark.slow
 def test_a_relative_path_is_found_while_other_threads_load_libraries(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cosim.export_fmu(decay(), "decay.fmu")
@@ -34,6 +36,7 @@ def test_a_relative_path_is_found_while_other_threads_load_libraries(tmp_path, m
         np.testing.assert_array_equal(run.values, alone.values)
 
 
+@pytest.mark.slow_rows("toml")
 @pytest.mark.parametrize("kind", ["toml", "ssp"])
 def test_a_system_that_has_run_can_be_pickled(kind, tmp_path):
     system = read_system(RIDE)

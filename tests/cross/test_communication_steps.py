@@ -18,6 +18,11 @@ def runs(path, steps):
         yield replace(run, time=run.time[::every], values=run.values[::every])
 
 
+@pytest.mark.slow_rows(
+    "bar_on_frame/reduced-erk-2-1e-08",
+    "bar_on_frame/reduced-rosenbrock-2-1e-08",
+    "crank_shaft/multipliers-rosenbrock-3-1e-08",
+)
 @pytest.mark.parametrize(
     ("name", "solver", "fmi", "spread"),
     [

@@ -109,6 +109,7 @@ class Influence:
 CANCELLING = 0.05
 
 
+@pytest.mark.slow_rows("bicycle/multipliers")
 @EVERY
 def test_outputs_and_derivatives_depend_on_what_is_declared_and_on_nothing_else(name, exported):
     rng = np.random.default_rng(5)
@@ -141,6 +142,7 @@ def test_outputs_and_derivatives_depend_on_what_is_declared_and_on_nothing_else(
         assert len(influence.unseen()) <= CANCELLING * count, influence.unseen()
 
 
+@pytest.mark.slow_rows("bicycle/multipliers")
 @EVERY
 def test_initial_unknowns_depend_on_what_is_declared_and_on_nothing_else(name, exported):
     rng = np.random.default_rng(6)

@@ -44,6 +44,7 @@ AT_THE_START = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "speed"), [*product(AT_THE_START, [-1, 1])])
 def test_a_start_on_the_boundary(name, speed, tmp_path):
     condition, times = AT_THE_START[name]
@@ -52,6 +53,7 @@ def test_a_start_on_the_boundary(name, speed, tmp_path):
         assert run.final["n"] == pytest.approx(len(times[speed]), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "unit"), [(1e11, 1.0), (1e16, 1e-16)])
 def test_what_counts_as_zero_has_the_size_of_the_own_states(rate, unit, tmp_path):
     dae = ball(lambda h, t: h < 0, 1, rate, unit)

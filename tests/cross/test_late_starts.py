@@ -37,6 +37,7 @@ def test_run_starts_where_its_laws_say(inputs):
     assert (given["x"][0], given["w"][0]) == pytest.approx(starts(0.75, 1.0, 3.0), abs=1e-13)
 
 
+@pytest.mark.slow_rows("2-ModelExchange")
 @INTERFACES
 @VERSIONS
 def test_fmu_starts_where_its_laws_say(fmi, interface, fmus):

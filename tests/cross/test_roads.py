@@ -21,6 +21,7 @@ TIGHT = 1e-10  # relative tolerance of all solvers
 BOUND = 1e-6  # largest difference, in nominal values
 
 
+@pytest.mark.slow_rows("bicycle/multipliers")
 @EVERY
 def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
     path = exported(name)
@@ -28,6 +29,7 @@ def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
     assert check_fmu(path) == []
 
 
+@pytest.mark.slow_rows("bicycle/multipliers")
 @EVERY
 @pytest.mark.usefixtures("optimized")
 def test_a_file_for_one_platform_is_small(name, tmp_path):
@@ -35,6 +37,12 @@ def test_a_file_for_one_platform_is_small(name, tmp_path):
     assert path.stat().st_size < 400_000  # measured 60 to 392 kB
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers",
+    "bicycle/multipliers",
+    "disk_two_bars/reduced",
+    "double_pendulum/quaternion",
+)
 @EVERY
 def test_nor_do_they_in_the_description_of_fmi_3(name, tmp_path):
     files = source_files(cosim.load(name), FmuOptions(3))

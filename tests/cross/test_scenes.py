@@ -54,10 +54,18 @@ def test_every_example_and_exercise_of_the_book_is_shipped():
     assert set(BOOK) <= set(NAMES)
 
 
+@pytest.mark.slow
 def test_at_least_twelve_scenes_want_some_outputs_only():
     assert sum(bool(cosim.read_scene(name).request.outputs) for name in NAMES) >= 12
 
 
+@pytest.mark.quick_rows(
+    "bar_theta.toml",
+    "crank_bearing_a.toml",
+    "crank_shaft.toml",
+    "crank_torque.toml",
+    "pendulum_tip.toml",
+)
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_runs_and_draws_its_figures(name):
     scene = shortened(cosim.read_scene(name))
@@ -77,6 +85,17 @@ def test_scene_runs_over_its_full_span(name):
     assert run.time[-1] == scene.request.times.stop
 
 
+@pytest.mark.quick_rows(
+    "bicycle_front_contact.toml",
+    "bicycle_model_1.toml",
+    "bicycle_model_2.toml",
+    "bicycle_model_3.toml",
+    "bicycle_path.toml",
+    "bicycle_steer_kick.toml",
+    "bicycle_wheel_loads.toml",
+    "crank_shaft.toml",
+    "disk_two_bars.toml",
+)
 @pytest.mark.parametrize("name", BACKENDS)
 def test_scene_gives_the_same_on_both_backends(name, tmp_path):
     scene = accurate(cosim.read_scene(name), 1.5)
@@ -87,6 +106,9 @@ def test_scene_gives_the_same_on_both_backends(name, tmp_path):
         assert cosim.compare(run, run_file(request, path, backend.interface), bound=5e-7).agrees
 
 
+@pytest.mark.quick_rows(
+    "bar_bearings.toml", "crank_torque.toml", "disk_angles.toml", "pendulum_tip.toml"
+)
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in BOOK])
 def test_reduced_scene_gives_what_the_full_model_gives(name):
     scene = accurate(cosim.read_scene(name), 1.0)
@@ -105,6 +127,7 @@ def test_book_model_2_of_the_bicycle_is_model_1_up_to_its_solver():
     assert cosim.compare(run, again, bound=1e-4).agrees  # measured 1.9e-5, of erk at rtol 1e-5
 
 
+@pytest.mark.slow
 def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
     second, third = (cosim.run_scene(cosim.read_scene(f"bicycle_model_{i}.toml")) for i in (2, 3))
     # the same method and steps for the same motion: rounding only, measured 1.3e-11
@@ -113,6 +136,7 @@ def test_book_model_3_of_the_bicycle_is_model_2_but_for_the_path():
     assert 1e-4 < path < 5e-4  # the book's path misses the true one by up to 4e-4 m
 
 
+@pytest.mark.slow
 def test_exercises_7_3_and_7_4_are_7_2_by_other_steps_and_other_equations():
     second, third, fourth = (
         cosim.run_scene(cosim.read_scene(f"double_pendulum_7_{i}.toml")) for i in (2, 3, 4)
@@ -133,6 +157,7 @@ def test_kick_moves_the_bicycle_alike_in_every_formulation():
         assert check.comparison.agrees  # measured 1.7e-9 at rtol 1e-10
 
 
+@pytest.mark.slow
 def test_crosscheck_of_a_scene_skips_formulations_that_lack_an_output():
     scene = shortened(cosim.read_scene("double_pendulum_7_2.toml"), 0.2)
     request = replace(scene.request, outputs=("singularity_1",))
@@ -169,6 +194,7 @@ def test_outputs_of_simulate_reduce_a_plain_model(capsys):
     assert "states: 4 -> 3; phi" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_constant_on_the_command_line_replaces_a_series(capsys):
     options = ["--stop-time", "2", "-p", "steer_torque=0"]
     assert main(["simulate", "bicycle_steer_kick.toml", *options]) == 0
@@ -176,6 +202,7 @@ def test_constant_on_the_command_line_replaces_a_series(capsys):
     assert abs(float(rows[-1][1])) < 1e-12  # nothing kicks: no roll
 
 
+@pytest.mark.slow
 def test_export_takes_a_scene(tmp_path, capsys):
     target = tmp_path / "lean.fmu"
     assert main(["export", "bicycle_roll_steer.toml", "-o", str(target)]) == 0
@@ -185,12 +212,14 @@ def test_export_takes_a_scene(tmp_path, capsys):
     assert cosim.compare(run, again, bound=1e-5).agrees
 
 
+@pytest.mark.slow
 def test_export_says_which_series_the_importer_has_to_supply(tmp_path, capsys):
     target = tmp_path / "kick.fmu"
     assert main(["export", "bicycle_steer_kick.toml", "-o", str(target)]) == 0
     assert "steer_torque: inputs of the FMU" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_crosscheck_takes_a_scene(capsys):
     assert main(["crosscheck", "crank_torque.toml", "--stop-time", "0.2", "-q", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)

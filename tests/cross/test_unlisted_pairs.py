@@ -49,6 +49,9 @@ def check(described: Description, sections, columns: dict[int, np.ndarray]) -> f
     return idle / listed
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers-3", "bicycle/multipliers-3", "double_pendulum/quaternion-3"
+)
 @VERSIONS
 @EVERY
 def test_unlisted_pairs_have_no_derivative(name, fmi, exported):

@@ -48,6 +48,7 @@ def test_accelerations_are_those_of_pinocchio():
         np.testing.assert_allclose(own, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_arm_runs_as_an_fmu(tmp_path):
     fmu = cosim.export_fmu(ARM, tmp_path / "arm.fmu")
     run = cosim.simulate(ARM, solver="dop853", relative_tolerance=1e-10, stop_time=1.0)

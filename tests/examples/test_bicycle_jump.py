@@ -41,6 +41,7 @@ def event(name):
 
 
 # Largest relative change of energy + loss; measured 3e-12, 5e-12, 5e-10, 4e-7
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "tolerance", "bound"),
     [
@@ -56,6 +57,7 @@ def test_energy_and_loss_are_constant(solver, tolerance, bound):
     assert run.final["loss"] == pytest.approx(138.295172, abs=1e-3)  # J, of 3.1 kJ
 
 
+@pytest.mark.slow_rows("values0")
 @pytest.mark.parametrize("values", [{"x_dot": 4.0}, {"x_dot": 10.0}, {"height": 0.02}])
 def test_energy_and_loss_are_constant_at_other_speeds_and_bumps(values):
     options = {"solver": "dop853", "relative_tolerance": 1e-10, "start_values": values}
@@ -66,6 +68,7 @@ def test_energy_and_loss_are_constant_at_other_speeds_and_bumps(values):
         assert run[f"normal{wheel}"].min() > -1e-9  # N
 
 
+@pytest.mark.slow_rows("rosenbrock", "erk")
 @pytest.mark.parametrize("solver", ["dop853", "rosenbrock", "cvodes", "erk"])
 def test_wheels_lift_off_fly_and_land(solver):
     run = jump(solver)
@@ -140,6 +143,7 @@ def fmu(tmp_path_factory):
 
 
 # Largest difference of final values from native simulation; measured 2e-12 and 2e-9 of the value
+@pytest.mark.slow
 @pytest.mark.parametrize(("interface", "bound"), [("CoSimulation", 1e-10), ("ModelExchange", 1e-7)])
 def test_an_fmu_jumps_as_the_native_model_does(fmu, interface, bound):
     names = ("x", "z", "theta", "x_dot", "z_dot", "theta_dot", "spinA", "spinD", "loss")

@@ -39,6 +39,7 @@ def error(name: str, run: cosim.Trajectory) -> float:
     return max(abs(run[n][-1] - v) / max(sizes[n], abs(v)) for n, v in exact(name).items())
 
 
+@pytest.mark.slow_rows("four_bars_a02")
 @EVERY
 def test_example_is_right_by_default(name):
     run = cosim.simulate(example(name), **{"compiled": False, **OPTIONS.get(name, {})})
@@ -94,6 +95,7 @@ def a02(request, tmp_path_factory):
     return cosim.export_fmu(example(LOSES_RANK), path, fmi=request.param)
 
 
+@pytest.mark.slow_rows("2-1e-05-0.1", "3-1e-05-0.1")
 @pytest.mark.parametrize("interval", [0.1, 0.01])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9, 1e-10])
 def test_a02_steps_pass_every_position_on_its_branch(a02, interval, tolerance):

@@ -59,6 +59,7 @@ def test_only_one_combination_of_damping_mass_and_length_is_identified(example, 
     assert example["identifiable"](exact, TRUE) == 3
 
 
+@pytest.mark.slow
 def test_script_writes_the_fitted_scene_and_fmu(tmp_path, monkeypatch, capsys):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)

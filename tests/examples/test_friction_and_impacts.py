@@ -28,6 +28,7 @@ def times(run, name):
 
 
 # Largest error of 8 and 7 times; measured 4e-10, 4e-10, 4e-8 s
+@pytest.mark.quick_rows("cvodes-2e-07")
 @SOLVERS
 def test_the_block_on_the_belt_sticks_and_slips_with_the_period_of_the_closed_form(solver, bound):
     run = run_of("belt", solver)
@@ -44,6 +45,7 @@ def test_the_block_on_the_belt_sticks_and_slips_with_the_period_of_the_closed_fo
 
 
 # Largest error of 9 times; measured 1e-11, 1e-11, 2e-9 s
+@pytest.mark.quick_rows("cvodes-2e-07")
 @SOLVERS
 def test_the_pendulum_meets_its_stop_at_the_times_of_elliptic_integrals(solver, bound):
     run = run_of("pendulum_stop", solver)
@@ -64,6 +66,7 @@ def crank(phi):
     return 0.1 * cos(phi) + rod, -0.1 * sin(phi) - 0.01 * sin(phi) * cos(phi) / rod
 
 
+@pytest.mark.slow
 def test_the_crank_runs_down_along_the_travel_of_its_slider():
     """Kinetic energy = that at the start - mu N (travel); the motion is a quadrature."""
 
@@ -97,6 +100,7 @@ def test_the_crank_runs_down_along_the_travel_of_its_slider():
         np.testing.assert_allclose(run["energy"], expected, rtol=0, atol=bound)  # J
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["belt", "pendulum_stop", "slider_crank_friction"])
 def test_fmus_of_these_examples_agree_with_native_simulation(name, tmp_path):
     dae = cosim.load(f"{FOLDER / name}.py:build")

@@ -35,6 +35,7 @@ def mounted(tmp_path):
     shell(f"umount {folder}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
@@ -59,6 +60,7 @@ def test_small_stack_is_enough():
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow_rows("check {} --run --trust")
 @pytest.mark.parametrize(
     "words", ["simulate {} --trust", "check {} --run --trust", "linearize {} --trust"]
 )

@@ -12,6 +12,7 @@ SAMPLE = [*ROWS][::6]  # each row starts a process
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pipes, devices and /proc of Linux")
 
 
+@pytest.mark.slow_rows("own.py:sleep")
 # an interrupt may come between the opening of a file and the `with` that would close it
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("name", sampled(ROWS, SAMPLE))

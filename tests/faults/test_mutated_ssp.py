@@ -69,6 +69,7 @@ def test_file_without_mutation_is_read(tmp_path):
     assert system.start_values["h", "k"] == 1  # by the file, after the part's own value 2
 
 
+@pytest.mark.slow
 def test_mutated_file_ends_in_one_sentence(tmp_path, capsys):
     assert found_faults(0, QUICK, tmp_path, capsys) == {}
 

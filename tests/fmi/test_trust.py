@@ -34,6 +34,7 @@ def test_own_export_needs_no_word(own_cache, tmp_path, capsys):
     assert trust.is_made_here(path)
 
 
+@pytest.mark.slow
 def test_foreign_file_is_warned_of_until_it_is_trusted(foreign, capsys):
     words = ["simulate", str(foreign), "--stop-time", "0.1"]
     for _ in range(2):
@@ -106,6 +107,7 @@ def test_what_is_no_fmu_cannot_be_trusted(own_cache, tmp_path):
     assert not trust.is_trusted(tmp_path / "a.fmu")
 
 
+@pytest.mark.slow
 def test_crosscheck_says_whose_word_a_reference_is(own_cache, tmp_path, capsys, monkeypatch):
     from cosim.verify.reference_result import export_with_reference
 

@@ -54,6 +54,15 @@ TIME = [0, 1, 5]
 PRESSED, RELEASED, RESTS = [0, 1, 1], [1, 0, 0], [0, 0, 0]
 
 
+@pytest.mark.slow_rows(
+    "at_least-values0-4-CoSimulation",
+    "greater-values1-1-CoSimulation",
+    "floor-values2-4-cvodes",
+    "floor-values2-4-CoSimulation",
+    "less-values3-1-CoSimulation",
+    "at_most-values4-4-CoSimulation",
+    "sign-values6-0-CoSimulation",
+)
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(
     ("law", "values", "right"),
@@ -117,6 +126,7 @@ JUMPING = {
 }
 
 
+@pytest.mark.slow_rows("counter-CoSimulation", "sign below 1-CoSimulation")
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(
     "name",
@@ -143,6 +153,7 @@ def two_balls():
 TWO_BALLS = two_balls()
 
 
+@pytest.mark.slow_rows("cvodes", "CoSimulation")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_what_several_events_add_at_one_instant_adds_up(backend):
     run = simulated(TWO_BALLS, backend)
@@ -164,6 +175,7 @@ def falling(speed):
 STOPPED = falling(lambda v: 0 * v)
 
 
+@pytest.mark.slow_rows("cvodes", "CoSimulation")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_condition_that_stays_true_beyond_its_boundary_ends_the_run(backend):
     with pytest.raises(cosim.CosimError, match="condition of 'landing' stays true"):
@@ -188,6 +200,7 @@ def sampler():
 SAMPLER = sampler()
 
 
+@pytest.mark.slow_rows("CoSimulation")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_sample_at_a_jump_of_its_input_takes_the_new_value_and_happens_once(backend):
     step = cosim.InputSeries(("U",), [0, 1, 1, 5], [[0], [0], [1], [1]])
@@ -196,6 +209,7 @@ def test_a_sample_at_a_jump_of_its_input_takes_the_new_value_and_happens_once(ba
     assert len({event.time for event in run.events}) == len(run.events) == 11
 
 
+@pytest.mark.slow_rows("1e-15-dop853")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock", "idas", "dop853"])
 @pytest.mark.parametrize("duration", [1.0, 1e-12, 1e-15])
 def test_the_time_of_an_event_does_not_depend_on_the_unit_of_time(duration, solver):
@@ -209,6 +223,7 @@ def test_the_time_of_an_event_does_not_depend_on_the_unit_of_time(duration, solv
     assert run.time[-1] / duration == pytest.approx(1, abs=1e-7)  # measured 2e-8
 
 
+@pytest.mark.slow_rows("cvodes-0.05", "dop853-0.05", "dop853-1.0")
 @pytest.mark.parametrize("interval", [0.05, 1.0])
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "dop853"])
 def test_a_switch_that_is_only_touched_does_not_move(interval, solver):
@@ -327,6 +342,7 @@ def test_a_sample_period_that_is_shortened_takes_no_sample_at_once(tmp_path):
     assert fmu.getReal([references["n"]]) == [3]
 
 
+@pytest.mark.slow
 def test_a_contact_that_opens_is_not_pulled_back():
     model = cosim.Model("contacts", stop_time=1.0)
     opening(model)
@@ -344,6 +360,7 @@ def oscillator():
     return model.freeze()
 
 
+@pytest.mark.slow_rows("0.01-dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 @pytest.mark.parametrize("interval", [0.01, 3.14159])
 def test_the_end_of_validity_is_found_between_output_times(interval, solver):
@@ -369,6 +386,7 @@ def test_a_result_whose_events_are_known_is_not_interpolated_across_them(tmp_pat
 INTEGRATOR = driven("integrator", lambda u: u)
 
 
+@pytest.mark.slow_rows("where(t >= 2, 100, 0)-0-CoSimulation")
 @pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
 @pytest.mark.parametrize(
     ("formula", "right"),

@@ -11,6 +11,7 @@ from casadi_models.dae import Model
 from cosim.errors import SolverError
 
 
+@pytest.mark.quick_rows("rk4")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
 def test_relay_with_hysteresis_has_the_period_of_its_closed_form(solver):
     model = Model("relay", stop_time=10.0)
@@ -41,6 +42,7 @@ def test_sampled_controller_is_that_of_its_difference_equation():
     np.testing.assert_allclose(run["u"][::2], -4 * exact, rtol=1e-10)  # after the sample
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_states_faster_than_the_output_interval_meet_all_events(solver):
     """Discrete variables stay exact as well: `floor` of one shows an error of rounding."""
@@ -66,6 +68,7 @@ def test_a_sample_that_rounding_puts_behind_the_end_happens_there(solver):
     assert run.events[-1].time == 2.0
 
 
+@pytest.mark.slow
 def test_events_at_one_instant_use_the_values_before_it():
     model = Model("swap", stop_time=2.0)
     a, b = model.discrete("a", "1", 1.0, "a"), model.discrete("b", "1", 2.0, "b")
@@ -112,6 +115,7 @@ def counter(order, name="counter"):
     return model.freeze()
 
 
+@pytest.mark.quick_rows("order1")
 @pytest.mark.parametrize("order", [("stop", "when"), ("when", "stop"), ("stop", "when", "stop")])
 def test_order_of_declarations_changes_no_assignment(order):
     for solver in ("dop853", "cvodes"):

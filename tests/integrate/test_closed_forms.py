@@ -182,6 +182,7 @@ def test_system_meets_an_independent_integrator(name, solver, scipy_run):
     assert difference.max() < 1e-6
 
 
+@pytest.mark.slow_rows("bar_on_frame/two_body-idas", "crank_shaft/multipliers-rosenbrock")
 @pytest.mark.parametrize(
     ("name", "solver"),
     [

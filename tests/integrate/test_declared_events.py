@@ -61,6 +61,7 @@ def test_a_period_that_varies_is_rejected(period):
         sampling(period)
 
 
+@pytest.mark.slow_rows("1-fmu-me", "2-fmu-me", "2-fmu-cs")
 @pytest.mark.parametrize("backend", ["native", "fmu-me", "fmu-cs"])
 @pytest.mark.parametrize("factor", [1, 2])
 def test_a_parameter_as_period_is_positive(backend, factor):
@@ -82,6 +83,7 @@ def test_stop_that_is_true_at_the_start_is_rejected():
         cosim.simulate(model.freeze())
 
 
+@pytest.mark.slow_rows("cvodes")
 @pytest.mark.parametrize("solver", ["cvodes", "dop853"])
 def test_events_may_have_equal_names(solver):
     model = Model("samplers", stop_time=0.95)

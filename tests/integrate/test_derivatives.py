@@ -96,6 +96,15 @@ def table():
         yield pytest.param(name, solver, compiled, marks=[] if quick else pytest.mark.slow)
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers-idas-False",
+    "crank_shaft/multipliers-idas-True",
+    "bar_on_frame/two_body-idas-False",
+    "bar_on_frame/two_body-idas-True",
+    "bar_on_frame/two_body-rosenbrock-False",
+    "bar_on_frame/two_body-dop853-True",
+    "disk_two_bars/multipliers-dop853-True",
+)
 @pytest.mark.parametrize(("name", "solver", "compiled"), [*table()])
 def test_products_are_right_or_refused(name, solver, compiled):
     chosen = SOLVERS[solver]
@@ -119,6 +128,7 @@ def test_table_has_every_formulation_and_counts_its_refusals():
     assert len(refused) == implicit * 5 * 2 + len(CATALOG)
 
 
+@pytest.mark.slow_rows("True-bar_on_frame/two_body-idas-Omega_dot")
 @pytest.mark.parametrize(
     ("name", "solver", "parameter"),
     [
@@ -142,6 +152,7 @@ def test_gradient_of_an_angle_by_an_acceleration_is_a_half(name, solver, paramet
     assert float(gradient[parameters.index(parameter)]) == pytest.approx(0.5, abs=1e-6)
 
 
+@pytest.mark.slow_rows("True-rk4", "True-ode8")
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_fixed_steps_are_differentiated_as_they_are(solver, compiled):
@@ -159,6 +170,7 @@ def test_fixed_steps_are_differentiated_as_they_are(solver, compiled):
         assert abs(got + np.exp(-2)) > 1e-3  # of the solution: -exp(-2)
 
 
+@pytest.mark.slow_rows("rk4-True", "ode8-True")
 @pytest.mark.parametrize(
     ("solver", "compiled"),
     [pytest.param(n, c, marks=[pytest.mark.slow] * (c and n in SLOW_TO_COMPILE))

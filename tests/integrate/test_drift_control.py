@@ -47,12 +47,14 @@ def test_projection_ends_every_output_on_the_constraints(name, rtol):
     assert free.min() > 1e3 * held.max()
 
 
+@pytest.mark.slow_rows("disk_two_bars/multipliers")
 @pytest.mark.parametrize("name", JOINTS)
 def test_constraints_with_constant_coefficients_drift_by_rounding_only(name):
     free, _ = drift_of(name, solver="dop853", drift_control="none", relative_tolerance=1e-4)
     assert free.max() < 2e-11  # measured up to 1.5e-12, the shaft
 
 
+@pytest.mark.slow
 def test_baumgarte_is_the_default_and_less_drifts_without():
     _, own = drift_of("bicycle/multipliers")
     _, damped = drift_of("bicycle/multipliers", drift_control="baumgarte")
@@ -92,6 +94,7 @@ def test_closing_rate_of_what_closes_by_itself_is_refused():
         cosim.load("crank_shaft/driven").closing_at(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-5, 1e-8])
 def test_projection_leaves_the_order_of_accuracy(rtol):
     truth = cosim.simulate(cosim.load("bicycle/independent"), relative_tolerance=1e-11)
@@ -118,6 +121,7 @@ def test_projection_moves_states_of_large_nominal_more():
     assert float(change) == pytest.approx(np.abs(move / [10, 1]).max())
 
 
+@pytest.mark.quick_rows("ode8")
 @pytest.mark.parametrize("solver", ["rk4", "ode8", "dop853"])
 def test_particle_stays_on_its_circle(solver):
     options = {"step_size": 0.5} if solver != "dop853" else {"relative_tolerance": 1e-3}
@@ -129,6 +133,7 @@ def test_particle_stays_on_its_circle(solver):
     assert np.abs(np.hypot(free["x"], free["y"]) - 2).max() > 1e-10  # ode8; rk4 5e-3
 
 
+@pytest.mark.slow
 def test_reduced_model_is_projected_like_the_full_one():
     dae = cosim.load("bicycle/multipliers")
     small = cosim.reduce(dae, ["phi", "delta"])
@@ -168,6 +173,7 @@ def test_unknown_control_is_refused_with_the_nearest_name():
         cosim.simulate(cosim.load("bicycle/multipliers"), drift_control="projektion")
 
 
+@pytest.mark.slow
 def test_command_line_projects(tmp_path):
     file = tmp_path / "run.csv"
     call = [
@@ -183,6 +189,7 @@ def test_command_line_projects(tmp_path):
     assert np.abs(drift).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_tradeoff_measures_what_model_and_solver_can_have():
     selection = Selection(("idas", "dop853"), (1e-6,), (), ("native",), tuple(DriftControl))
     request = cosim.requested("bicycle/multipliers", outputs=["phi"], stop_time=0.5)

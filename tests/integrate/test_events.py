@@ -55,6 +55,7 @@ BALL_ERRORS = {
 }
 
 
+@pytest.mark.slow_rows("ode8", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
     exact = impact_times(30)
@@ -68,6 +69,7 @@ def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
     assert first.after["v"] == pytest.approx(-0.7 * first.before["v"], rel=1e-14)
 
 
+@pytest.mark.quick_rows("ode8")
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8"])
 def test_compiled_solvers_go_through_impacts_in_one_call(solver, monkeypatch):
     model, _, v = ball()
@@ -87,6 +89,7 @@ def test_compiled_solvers_go_through_impacts_in_one_call(solver, monkeypatch):
     assert len(calls) == (2 if solver in FIXED else 1)  # fixed steps are checked by smaller ones
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_events_are_recorded_with_both_sides(solver):
     model, h, v = ball()
@@ -108,12 +111,14 @@ def test_events_are_recorded_with_both_sides(solver):
     assert len(lines.get_xdata()) == len(recorded)  # a jump is drawn as a jump
 
 
+@pytest.mark.slow_rows("cvodes")
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
 def test_impacts_without_end_are_reported(solver):
     with pytest.raises(SolverError, match=r"'impact' happens ever faster before 2\.558.* \(Zeno\)"):
         simulate(ball()[0].freeze(), solver, stop_time=3.0)
 
 
+@pytest.mark.slow
 def test_sampled_stop_ends_the_impacts():
     """A controller looks every 0.1 s whether the ball is slow, and a stop ends the run."""
     model, h, v = ball()
@@ -147,6 +152,7 @@ def sliding_time(speed=5.0):
     return quad(slowness, 0, speed, points=points, limit=500, epsabs=1e-15)[0]
 
 
+@pytest.mark.slow_rows("dop853", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", [s for s in SOLVERS if s not in FIXED])
 def test_friction_that_rises_just_before_the_rest_is_not_stepped_over(solver):
     run = simulate(sliding_block(), solver)
@@ -165,6 +171,7 @@ def test_fmu_does_not_step_over_friction_that_rises_just_before_the_rest(tmp_pat
     assert np.abs(run["v"][run.time > 1.3]).max() < 1e-14
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_outputs_are_those_of_the_mode_of_their_time(solver):
     model = Model("turn", stop_time=2.0)
@@ -193,6 +200,7 @@ def test_algebraic_unknowns_are_those_of_the_mode_of_their_time(solver):
     np.testing.assert_allclose(run["twice"], 2 * exact, rtol=0, atol=1e-8)
 
 
+@pytest.mark.quick_rows("cvodes", "cvodes_adams", "idas")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_block_comes_to_rest_and_stays(solver):
     model = Model("block", stop_time=3.0)
@@ -207,6 +215,7 @@ def test_block_comes_to_rest_and_stays(solver):
     assert abs(run["v"][run.time > 1.43]).max() < 1e-15
 
 
+@pytest.mark.quick_rows("cvodes")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
 def test_block_sticks_and_slips_under_a_periodic_force(solver):
     """It slips while |sin t| exceeds 0.5 and until the impulse is used up."""
@@ -225,6 +234,7 @@ def test_block_sticks_and_slips_under_a_periodic_force(solver):
     )
 
 
+@pytest.mark.slow_rows("erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_relation_of_time_is_met_exactly(solver):
     """1000 N for 1 ms on 1 kg at a spring: the response is in closed form."""
@@ -259,6 +269,7 @@ def random_pulses(count, solver):
     return seen
 
 
+@pytest.mark.slow_rows("dop853", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_no_pulse_is_missed(solver):
     assert random_pulses(10, solver) == 10
@@ -269,6 +280,7 @@ def test_none_of_a_thousand_pulses_is_missed(solver):
     assert random_pulses(1000, solver) == 1000
 
 
+@pytest.mark.slow_rows("dop853", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_maximum_switches_where_the_arguments_meet(solver):
     model = Model("half_waves", stop_time=4 * np.pi)
@@ -278,6 +290,7 @@ def test_maximum_switches_where_the_arguments_meet(solver):
     assert simulate(model.freeze(), solver).final["x"] == pytest.approx(4, abs=error)
 
 
+@pytest.mark.quick_rows("fmax-rk4", "fmax-cvodes", "fmax-cvodes_adams", "fmax-idas")
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("form", ["fmax", "if_else", "power"])
 def test_branch_ends_where_its_law_is_not_defined(form, solver):
@@ -294,6 +307,7 @@ def test_law_that_is_left_without_a_value_is_an_error():
         simulate(model.freeze())
 
 
+@pytest.mark.slow
 def test_square_wave_faster_than_the_output_interval():
     model = Model("square", stop_time=1.25, output_interval=1.0)
     x = model.state("x", "1", 0.0, "integral")
@@ -303,6 +317,7 @@ def test_square_wave_faster_than_the_output_interval():
     assert len(run.events) == 25
 
 
+@pytest.mark.slow
 def test_bicycle_at_rest_feels_a_torque_that_begins_later():
     """The case that the default solver did not see."""
     torque = {"steer_torque": "where(t > 3, where(t < 4, 1, 0), 0)"}
@@ -346,6 +361,7 @@ def test_smooth_needs_the_symbols_of_a_model():
         cosim.smooth(ca.fabs(ca.SX.sym("stranger")))
 
 
+@pytest.mark.slow
 def test_relations_in_a_dae_are_located_on_its_unknowns():
     """The force in a spring-loaded contact is an algebraic unknown."""
     model = Model("contact", stop_time=5.0)
@@ -363,6 +379,7 @@ def test_relations_in_a_dae_are_located_on_its_unknowns():
         np.testing.assert_allclose(energy, 1, atol=3e-7)
 
 
+@pytest.mark.slow
 def test_blocks_that_stick_to_each_other_move_as_one():
     model = Model("blocks", stop_time=3.0)
     x, v = model.state("x", "m", 0.0, "lower place"), model.state("v", "m/s", 1.0, "lower speed")
@@ -395,6 +412,7 @@ def test_assignment_off_the_constraints_is_rejected():
         simulate(model.freeze())
 
 
+@pytest.mark.slow
 def test_jump_of_an_input_series_meets_the_events_of_the_model():
     model = Model("driven", stop_time=2.0)
     x, u = model.state("x", "m", 0.0, "place"), model.input("u", "m/s", 0.0, "speed")
@@ -408,6 +426,7 @@ def test_jump_of_an_input_series_meets_the_events_of_the_model():
         assert run.events[-1].time == pytest.approx(1.5, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_forward_derivatives_jump_at_events():
     """Impacts, a switching time that is a parameter, and friction that comes to rest."""
     model, *_ = ball()
@@ -446,6 +465,7 @@ def test_reduction_keeps_events_that_outputs_depend_on():
     np.testing.assert_allclose(simulate(small, stop_time=2.0)["h"], plain["h"], atol=1e-12)
 
 
+@pytest.mark.quick_rows("cvodes")
 @pytest.mark.parametrize("solver", ["cvodes", "dop853", "rk4"])
 def test_jumps_of_a_python_function_are_located(solver):
     model = Model("mass", stop_time=2.0)

@@ -41,6 +41,7 @@ def failure(dae, **options):
 # -- the computed part ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows("erk-True", "rosenbrock-True")
 @EVERY_WAY
 def test_run_into_a_pole_keeps_what_came_before(solver, compiled):
     error = failure(blow_up(), solver=solver, output_interval=0.04, compiled=compiled)
@@ -54,6 +55,7 @@ def test_run_into_a_pole_keeps_what_came_before(solver, compiled):
     assert run["calm"].tolist() == [1.0] * len(run)
 
 
+@pytest.mark.slow_rows("erk-True", "rosenbrock-True")
 @EVERY_WAY
 def test_run_out_of_the_domain_stops_before_it(solver, compiled):
     error = failure(emptying(), solver=solver, output_interval=0.05, compiled=compiled)
@@ -61,6 +63,7 @@ def test_run_out_of_the_domain_stops_before_it(solver, compiled):
     assert 1.5 < END_OF_LEVEL < 1.55
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["cvodes", "dop853"])
 def test_run_of_many_steps_says_that_closer_output_times_allow_more(solver):
     """A spring of 80,000 rad/s, whose 25,000 swings have more steps than one interval allows."""
@@ -81,6 +84,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow_rows("emptying-erk-True", "singular-rosenbrock-False")
 @pytest.mark.parametrize(("build", "solver", "compiled"), CASES)
 def test_computed_part_agrees_with_a_run_that_was_to_stop_there(build, solver, compiled):
     """But for the last outputs, near the singularity, which the solver approaches otherwise."""
@@ -111,6 +115,10 @@ def test_kept_part_is_labeled_and_tells_what_it_took():
 # -- where and why --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows(
+    "erk-True-step size too small at t = 1\\\\.52\\\\d*, h = \\\\S+",
+    "rosenbrock-True-step size too small at t = 1\\\\.52\\\\d*, h = \\\\S+",
+)
 @pytest.mark.parametrize(
     ("solver", "compiled", "why"),
     [
@@ -140,6 +148,7 @@ def test_output_that_is_no_number_is_named_with_its_time(solver):
     assert re.search(r"stopped after (1|0\.99) s: root is not finite at (1|1\.01) s", message)
 
 
+@pytest.mark.slow_rows("erk-True", "rosenbrock-True")
 @EVERY_WAY
 def test_right_hand_side_without_a_value_at_the_start_is_said(solver, compiled):
     model = Model("nowhere")

@@ -9,6 +9,7 @@ from helpers.event_models import simulate
 from casadi_models.dae import Model
 
 
+@pytest.mark.quick_rows("rk4")
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
 def test_run_that_a_stop_ends_is_computed_again_at_just_the_requested_times(solver):
     model = Model("oscillator", stop_time=5.0)
@@ -38,6 +39,7 @@ def test_samples_at_output_times_are_in_their_rows(solver, period):
     np.testing.assert_array_equal(np.diff(run["n"]).nonzero()[0] % period, period - 1)
 
 
+@pytest.mark.quick_rows("rk4")
 @pytest.mark.parametrize("solver", ["dop853", "ode8", "rk4", "erk"])
 def test_two_floors_of_a_steady_motion_are_no_zeno(solver):
     model = Model("floors", stop_time=2.0, output_interval=0.05)
@@ -53,6 +55,7 @@ def test_two_floors_of_a_steady_motion_are_no_zeno(solver):
         assert len(run.events) == sum(0.1 < crossing < end for crossing in crossings)
 
 
+@pytest.mark.quick_rows("erk")
 @pytest.mark.parametrize("solver", ["dop853", "erk", "rosenbrock"])
 def test_event_of_a_state_at_the_instant_of_a_clock_happens_once(solver):
     model = Model("clocked", stop_time=1.0)
@@ -76,6 +79,7 @@ def test_event_of_a_state_at_the_instant_of_a_clock_happens_once(solver):
     assert simulate(model.freeze(), solver).final["b"] == 1
 
 
+@pytest.mark.quick_rows("2 <= n-0.2")
 @pytest.mark.parametrize(
     ("condition", "end"),
     [

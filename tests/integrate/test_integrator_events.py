@@ -35,6 +35,7 @@ def after_one_impact():
     return ca.Function("height", [x0, p], [e * (g * hit - v) * left - g / 2 * left**2])
 
 
+@pytest.mark.quick_rows("idas")
 @pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
 def test_value_and_derivatives_in_closed_form(solver):
 
@@ -54,6 +55,7 @@ def test_value_and_derivatives_in_closed_form(solver):
     np.testing.assert_allclose(np.array(slopes(*at)).ravel(), [-1, 0, 0, 0, 1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_steps_of_an_input_move_a_block_that_rests_with_friction():
     """Slides 1/(2 mu), rests, is pushed from 2.5 to 3.5 s, and slides on."""
     model = cosim.Model("block", stop_time=4.0)
@@ -124,6 +126,7 @@ def test_other_steps_of_an_input_compile_nothing(solver):
         assert not k or "compile_time" not in run.stats
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "idas"])
 def test_each_column_moves_what_rests_on_a_belt_that_the_input_drives(solver):
     """The place is the sum of speed times length of the intervals, equal speeds or not."""
@@ -142,6 +145,7 @@ def test_each_column_moves_what_rests_on_a_belt_that_the_input_drives(solver):
         np.testing.assert_allclose(found, [[0, 1, 1, 1, 1], [0, 0, 0, 0, 1]], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow_rows("1e-14-dop853", "1e-14-erk")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
 @pytest.mark.parametrize("size", [1e-14, 1e-6])
 def test_derivatives_by_tiny_numbers_are_as_accurate_as_others(size, solver):
@@ -160,6 +164,7 @@ def test_derivatives_by_tiny_numbers_are_as_accurate_as_others(size, solver):
     assert float(by(size)) == pytest.approx(-0.2665667639767548, abs=1e-6)
 
 
+@pytest.mark.slow_rows("dop853-True", "rosenbrock-True")
 @pytest.mark.parametrize("has_events", [False, True])
 @pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
 def test_unknowns_belong_to_the_interval_that_ends(solver, has_events):

@@ -40,6 +40,7 @@ def interpreted(solver: str) -> dict:
     return {"solver": solver, "compiled": solver == "dop853"}
 
 
+@pytest.mark.slow_rows("dop853-False", "dop853-True")
 @pytest.mark.parametrize("algebraic", [False, True])
 @pytest.mark.parametrize("solver", ADAPTIVE)
 def test_unit_of_measure_changes_no_bit_of_a_run(solver, algebraic):
@@ -51,6 +52,7 @@ def test_unit_of_measure_changes_no_bit_of_a_run(solver, algebraic):
     np.testing.assert_array_equal(runs[0].values, runs[1].values / BINARY)
 
 
+@pytest.mark.slow
 def test_lanes_count_in_nominal_values_too():
     runs = [
         cosim.simulate_many(swing(size, size, False), {"v": np.linspace(0, 1, 5) * size})
@@ -131,6 +133,7 @@ def test_small_swing_stays_accurate_after_a_jump_of_an_input():
     assert error_of_swing(run, 1e-9) < 1e-5  # measured 2e-6; 0.4 if each piece has its own sizes
 
 
+@pytest.mark.quick_rows("1e-09")
 @pytest.mark.parametrize("size", [1e-100, 1e-9, 1e-7])
 def test_fmu_and_bare_integrator_follow_a_small_swing(size, tmp_path):
     dae = swinging(size)
@@ -201,6 +204,7 @@ def test_scaled_invariants_vanish_with_the_model_s():
         np.testing.assert_allclose(np.array(sizes), 4 * np.array(less))
 
 
+@pytest.mark.slow_rows("rosenbrock")
 @pytest.mark.parametrize("solver", ["idas", "rosenbrock"])
 def test_one_library_serves_every_start(solver):
     """An unknown without nominal value begins at 3, at 3e3 and at 3e6."""

@@ -24,6 +24,7 @@ def best():
     return bring_up("dop853")
 
 
+@pytest.mark.slow_rows("cvodes-True", "ode8-True", "cvodes-False", "idas-False", "rosenbrock-False")
 @pytest.mark.parametrize(("solver", "compiled"), WAYS)
 def test_every_solver_brings_the_bar_up_with_the_same_torque(solver, compiled):
     torque, theta = bring_up(solver, compiled=compiled)
@@ -50,6 +51,7 @@ def test_optimum_is_one():
     np.testing.assert_allclose(slopes @ price, torque, rtol=0, atol=1e-5)  # measured 1e-7
 
 
+@pytest.mark.slow
 def test_three_masses_are_recovered_from_roll_and_steer():
     found = masses()
     np.testing.assert_allclose(found, [2.0, 85.0, 4.0], rtol=1e-6)  # measured 1e-12
@@ -62,6 +64,7 @@ def test_other_solvers_recover_the_masses_from_the_record_of_one(solver):
     np.testing.assert_allclose(found, [2.0, 85.0, 4.0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_ipopt_fits_two_masses_in_few_iterations_with_every_solver():
     dae = cosim.load("bicycle")
     given, grid = cosim.start_vectors(dae), np.linspace(0, 2, 41)

@@ -27,6 +27,7 @@ def again(dae, **options):
     return simulate(dae, solver="dop853", stop_time=4.0, start_values={"phi_dot": 4.0}, **options)
 
 
+@pytest.mark.slow
 def test_lanes_give_the_bits_of_scalar_code(bicycle, everything, monkeypatch):
     monkeypatch.setattr(outputs, "_lane_library", lambda *_, **__: None)
     scalar = again(bicycle)
@@ -52,6 +53,7 @@ def pole(limit=1.505):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("True")
 @pytest.mark.parametrize("compiled", [True, False])
 def test_only_what_is_recorded_has_to_be_a_number(compiled):
     options = {"solver": "dop853" if compiled else "erk", "compiled": compiled}

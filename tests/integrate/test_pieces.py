@@ -61,6 +61,7 @@ BOTH_WAYS = [
 ]
 
 
+@pytest.mark.slow_rows("rk4-True", "dop853-True")
 @pytest.mark.parametrize(("solver", "compiled"), BOTH_WAYS)
 def test_state_follows_a_jumping_input_as_accurately_as_any_other(solver, compiled):
     numbers = {"relative_tolerance": 1e-9} if SOLVERS[solver].adaptive else {}

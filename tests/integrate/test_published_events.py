@@ -22,6 +22,7 @@ def robertson():
     return model.freeze()
 
 
+@pytest.mark.quick_rows("idas")
 @pytest.mark.parametrize("solver", ["cvodes", "idas", "rosenbrock"])
 def test_roots_of_robertsons_problem(solver):
     times = np.concatenate(([0.0], np.geomspace(1e-3, 4e10, 300)))
@@ -80,6 +81,7 @@ def smooth_pieces(number):
     return y[0]
 
 
+@pytest.mark.quick_rows("cvodes-1", "cvodes-2", "cvodes-3", "cvodes-4")
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
 def test_discontinuous_problems_of_detest(number, solver):
@@ -101,6 +103,7 @@ def brake(decay):
     return model.freeze()
 
 
+@pytest.mark.quick_rows("0.001-idas", "0.1-idas")
 @pytest.mark.parametrize("solver", ["dop853", "erk", "rosenbrock", "cvodes", "idas"])
 @pytest.mark.parametrize("decay", [1e-3, 0.1])
 def test_brake_holds_a_shaft_from_its_closed_form_on(decay, solver):
@@ -140,6 +143,7 @@ LOCKED = [0.709365, 0.790992, 0.831167, 0.898230, 1.000333, 1.143869]
 SPEEDS = [3.24038813, 2.46541055, 2.46541055, 2.46541055]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver", ["dop853", "rk4", "ode8", "erk", "cvodes", "cvodes_adams", "idas"]
 )

@@ -33,12 +33,14 @@ def is_right(seed, solver, *, algebraic=False, **options):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", sampled(range(0, 200, BLOCK), (), range(0, 40, BLOCK)))
 def test_random_models_are_right_or_rejected(first):
     right = [is_right(seed, "cvodes") for seed in range(first, first + BLOCK)]
     assert right.count(False) <= MOST_REJECTED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS[1:])
 def test_random_models_on_compiled_solvers(solver):
     step = {"step_size": 0.001} if solver in ("rk4", "ode8") else {}
@@ -46,6 +48,7 @@ def test_random_models_on_compiled_solvers(solver):
     assert right.count(False) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["idas", "rosenbrock", "dop853"])
 def test_random_models_whose_rates_are_algebraic_unknowns(solver):
     right = [is_right(seed, solver, algebraic=True) for seed in range(10)]

@@ -27,6 +27,7 @@ def robertson():
     return model.freeze()
 
 
+@pytest.mark.slow_rows("True")
 @pytest.mark.parametrize("compiled", [False, True])
 def test_rosenbrock_begins_a_long_span_with_a_small_step(compiled):
     """Its smallest step is a part of the time, not of the span: 1e-14 of 1e11 s were too long."""
@@ -51,6 +52,7 @@ def test_step_that_time_cannot_resolve_still_ends_a_run(compiled):
     assert caught.value.partial.time[-1] == pytest.approx(0.99, abs=0.011)
 
 
+@pytest.mark.slow
 def test_idas_goes_on_without_errors_of_algebraic_unknowns_and_says_so():
     """At 1e-13 the rounding of contact forces exceeds what the tolerance allows in newtons."""
     dae = cosim.load("bicycle/multipliers")
@@ -81,6 +83,7 @@ def test_failure_of_a_dae_names_the_solvers_that_are_left():
         simulate(model.freeze(), solver="idas")
 
 
+@pytest.mark.slow
 def test_motion_slides_on_a_surface_that_no_step_can_leave():
     """Dry friction: the sign of a sliding speed."""
     model = Model("slide", stop_time=2.0)

@@ -104,6 +104,7 @@ def test_constant_input_and_parameter_act_in_every_solver(solver, compiled):
     np.testing.assert_allclose(free["x"], free.time - np.sin(free.time), rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow_rows("erk-True")
 @pytest.mark.parametrize(
     ("solver", "compiled"),
     [

@@ -41,6 +41,7 @@ def other_continuation(dae, **options):
     return cosim.simulate(dae, solver=lenient, stop_time=2.0, compiled=False, **options)
 
 
+@pytest.mark.slow_rows("{'solver': 'rosenbrock'}", "{'stop_when': 'y0 < -0.5'}")
 @pytest.mark.parametrize("options", NAMED, ids=str)
 def test_run_without_projection_is_rejected_with_the_remedy(bars, options):
     span = {} if "output_times" in options else {"stop_time": 1.0}
@@ -101,6 +102,7 @@ def test_motion_that_stays_singular_is_reported_once(bars):
     assert [(loss.position, loss.distance) for loss in losses] == [(10, 1e-7)]
 
 
+@pytest.mark.slow_rows("wanted0")
 @pytest.mark.parametrize("wanted", [{"stop_when": "y0 < -0.5"}, {"output_times": [0.5, 1.0]}])
 def test_projection_works_with_stop_conditions_and_output_times(bars, wanted):
     run = cosim.simulate(bars, outputs=["y0", "y1"], **wanted, **PROJECTED)
@@ -145,6 +147,7 @@ def test_no_alarm_where_rank_is_kept(name):
     assert not [text for text in run.stats.get("invalid", ()) if "rank" in text]
 
 
+@pytest.mark.slow
 def test_fixed_steps_take_multipliers_with_projection_only(bars):
     with pytest.raises(UsageError, match="or drift control by projection"):
         cosim.simulate(bars, solver="ode8")

@@ -296,6 +296,7 @@ def test_stats_are_attributes_and_a_mapping(ode):
         stats["invalid"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
 def test_nothing_is_compiled_anew_for_other_output_times(solver, monkeypatch):
     dae = cosim.load("disk_two_bars/reduced")

@@ -32,6 +32,16 @@ LAWS = {
 }
 
 
+@pytest.mark.quick_rows(
+    "sign-idas",
+    "sign-ModelExchange",
+    "sides-idas",
+    "three sides-idas",
+    "three sides-ModelExchange",
+    "stribeck-idas",
+    "viscous-idas",
+    "quotient-idas",
+)
 @pytest.mark.parametrize("backend", [*SOLVERS, "CoSimulation", "ModelExchange"])
 @pytest.mark.parametrize("law", LAWS)
 def test_friction_at_rest_equals_the_load(law, backend, tmp_path):
@@ -48,6 +58,7 @@ def test_friction_at_rest_equals_the_load(law, backend, tmp_path):
     np.testing.assert_allclose(run["a"][rests], 0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.quick_rows("0.4-dop853")
 @pytest.mark.parametrize(
     "solver", ["cvodes", "cvodes_adams", "idas", "erk", "rosenbrock", "dop853"]
 )
@@ -67,6 +78,7 @@ def test_impacts_that_die_out_end_the_run(restitution, solver):
         assert caught.value.partial["h"].min() > -1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [2.0, 60.0, 1e6])
 def test_the_sample_at_the_start_is_taken_however_rare_samples_are(period, tmp_path):
     model = cosim.Model("counter", stop_time=2.5 * period, output_interval=period / 2)
@@ -79,6 +91,7 @@ def test_the_sample_at_the_start_is_taken_however_rare_samples_are(period, tmp_p
         np.testing.assert_array_equal(run["count"], [1, 1, 2, 2, 3, 3])
 
 
+@pytest.mark.quick_rows("ModelExchange")
 @pytest.mark.parametrize("backend", ["cvodes", "dop853", "CoSimulation", "ModelExchange"])
 def test_two_events_do_not_give_one_variable_two_values(backend, tmp_path):
     model = cosim.Model("two", stop_time=2.0)
@@ -94,6 +107,7 @@ def test_two_events_do_not_give_one_variable_two_values(backend, tmp_path):
         run(dae, **ways)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_events_within_rounding_of_the_end_do_not_stop_a_run(solver):
     model = cosim.Model("timer", stop_time=1.0)
@@ -120,6 +134,7 @@ def ran(dae, backend, folder, **inputs):
 EVERY = [*SOLVERS, "erk", "rk4", "CoSimulation", "ModelExchange"]
 
 
+@pytest.mark.slow_rows("cvodes", "ModelExchange")
 @pytest.mark.parametrize("backend", sampled(EVERY, ["cvodes", "dop853", "ModelExchange"]))
 def test_play_follows_its_pin_though_the_solver_drifts_from_it(backend, tmp_path):
     """The pin sin(t) moves the slot by its edges, 0.3 away on both sides."""
@@ -140,6 +155,7 @@ def test_play_follows_its_pin_though_the_solver_drifts_from_it(backend, tmp_path
     np.testing.assert_allclose(found, times, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow_rows("cvodes", "dop853")
 @pytest.mark.parametrize("backend", sampled(EVERY, ["cvodes", "dop853", "CoSimulation"]))
 def test_friction_of_three_sides_follows_a_load_that_changes_its_sign(backend, tmp_path):
     dae = block(LAWS["three sides"], lambda t: 0.4 * ca.sin(t) - 0.1)
@@ -164,6 +180,7 @@ FEW = ["cvodes", "dop853", "CoSimulation 3"]
 BELTS = sampled([*SOLVERS, "erk", "rk4", "CoSimulation 2", "CoSimulation 3"], FEW)
 
 
+@pytest.mark.slow_rows("cvodes", "dop853", "CoSimulation 3", "ModelExchange 2")
 @pytest.mark.parametrize("backend", [*BELTS, "ModelExchange 2", "ModelExchange 3"])
 def test_a_block_slides_when_the_belt_that_it_rests_on_jumps(backend, tmp_path):
     """It rests again when 4 - 3 exp(-t/2) = 2, 2 ln(3/2) after the jump."""
@@ -176,6 +193,7 @@ def test_a_block_slides_when_the_belt_that_it_rests_on_jumps(backend, tmp_path):
     np.testing.assert_allclose(run["friction"][slides], 2.0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow_rows("cvodes-series", "dop853-series")
 @pytest.mark.parametrize("kind", sampled(["series", "formula", "function"], ["series"]))
 @pytest.mark.parametrize("backend", BELTS)
 def test_a_block_at_rest_on_a_belt_follows_it(backend, kind, tmp_path):
@@ -200,6 +218,7 @@ def test_model_exchange_refuses_an_input_that_moves_what_rests_on_it(fmi, tmp_pa
         cosim.simulate_fmu(file, interface="ModelExchange", inputs=speed)
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize(
     "backend", sampled(["idas", "rosenbrock", "dop853", "CoSimulation"], ["idas", "dop853"])
 )
@@ -214,6 +233,7 @@ def test_friction_of_a_speed_that_an_equation_gives_stops_it(backend, tmp_path):
     assert np.abs(run["v"][run.time > 0.5]).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["cvodes", "dop853"])
 def test_a_series_of_many_samples_costs_no_restarts_where_nothing_slides_along_it(solver):
     """A mass on a spring over a rough road, with a stop that it does not reach."""
@@ -236,6 +256,7 @@ def test_derivatives_of_what_rests_on_a_series_are_refused():
         cosim.sensitivity(belt(), with_respect_to=["v"], inputs=series)
 
 
+@pytest.mark.slow
 def test_a_name_of_the_users_own_is_no_rate():
     model = cosim.Model("belt", stop_time=3.0, output_interval=0.01)
     u, force = (model.input(name, "1", 1.0, name) for name in ("u", "rate_of_u"))

@@ -37,6 +37,14 @@ SERIES = InputSeries(
 )
 
 
+@pytest.mark.slow_rows(
+    "time-erk",
+    "time-rosenbrock",
+    "time-ode8",
+    "input series-erk",
+    "input series-rosenbrock",
+    "input series-ode8",
+)
 @pytest.mark.parametrize("solver", BOTH_WAYS)
 @pytest.mark.parametrize("inputs", [None, SERIES], ids=["time", "input series"])
 def test_compiled_and_interpreted_runs_take_the_same_steps(solver, inputs):
@@ -72,6 +80,7 @@ def test_steps_of_dop853_end_at_the_samples_of_a_series():
     assert np.abs(other["phi"] - tight["phi"]).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_samples_outside_the_run_or_at_its_outputs_are_no_trouble():
     dae = swing()
     for start, stop, interval in (
@@ -99,6 +108,7 @@ def decay(rate):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("1e-09-erk", "1e-09-rosenbrock", "1e-12-erk", "1e-12-rosenbrock")
 @pytest.mark.parametrize("solver", ADAPTIVE)
 @pytest.mark.parametrize("interval", [1e-9, 1e-12])
 def test_output_times_of_a_nanosecond_or_less_are_integrated(solver, interval):
@@ -121,6 +131,7 @@ def bump(t):
     return np.exp(-(((t - 52.5) / 2.5) ** 64))
 
 
+@pytest.mark.slow_rows("erk-True", "rosenbrock-True")
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("solver", ADAPTIVE)
 def test_bump_after_a_rest_is_not_stepped_over(solver, compiled):
@@ -134,6 +145,7 @@ def test_bump_after_a_rest_is_not_stepped_over(solver, compiled):
     )  # measured 5.4e-4, of the rounded corners
 
 
+@pytest.mark.slow_rows("erk", "rosenbrock")
 @pytest.mark.parametrize("solver", ADAPTIVE)
 def test_largest_step_is_honored_and_changes_no_other_run(solver):
     calm = {"solver": solver, "stop_time": 100.0, "start_values": {"x": 1e-3}}
@@ -144,6 +156,7 @@ def test_largest_step_is_honored_and_changes_no_other_run(solver):
     np.testing.assert_array_equal(free.values, wide.values)
 
 
+@pytest.mark.slow
 def test_variants_in_lanes_see_what_single_runs_see():
     dae = with_laws(resting_spring(), (("force", bump),))
     many = simulate_many(dae, {"x": [0.0, 1e-3]})
@@ -165,6 +178,7 @@ def test_largest_step_that_makes_no_sense_is_rejected(solver, step):
         simulate(resting_spring(), solver=solver, max_step=step)
 
 
+@pytest.mark.slow_rows("0.5051-0.5071", "0.5-0.51")
 @pytest.mark.parametrize(("begin", "end"), [(0.3, 0.7), (0.3, 0.57), (0.5051, 0.5071), (0.5, 0.51)])
 def test_pulses_of_a_python_function_are_seen(begin, end):
     model = Model("mass", stop_time=1.0)

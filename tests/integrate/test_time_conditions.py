@@ -77,6 +77,24 @@ def error_of(case):
     return 1e-9 + 4e-16 * count * value
 
 
+@pytest.mark.slow_rows(
+    "pulses at 50 Hz-dop853",
+    "pulses at 50 Hz-cvodes",
+    "square-dop853",
+    "square-cvodes",
+    "thin square-dop853",
+    "thin square-cvodes",
+    "Gaussian-dop853",
+    "1 kHz-dop853",
+    "1 kHz-cvodes",
+    "chirp-dop853",
+    "chirp-cvodes",
+    "touching by value-dop853",
+    "touching flatly-dop853",
+    "floor-dop853",
+    "floor-cvodes",
+    "both-dop853",
+)
 @pytest.mark.parametrize("way", NATIVE)
 @pytest.mark.parametrize("case", CASES)
 def test_every_switch_is_found_at_its_time(case, way):
@@ -87,6 +105,7 @@ def test_every_switch_is_found_at_its_time(case, way):
         assert len(run.events) == pytest.approx(count, abs=1)  # one may be at the end
 
 
+@pytest.mark.quick_rows("ModelExchange 2")
 @pytest.mark.parametrize(
     "way", [pytest.param("ModelExchange 2", marks=pytest.mark.slow), *FMUS[1:]]
 )
@@ -107,6 +126,7 @@ def test_an_fmu_finds_all_of_them_in_one_model(way, tmp_path):
             assert 2 * run.final[f"n{i}"] == pytest.approx(CASES[case][-1], abs=1), case
 
 
+@pytest.mark.quick_rows("dop853")
 @pytest.mark.parametrize("way", ["dop853", "ModelExchange 2", "ModelExchange 3", "CoSimulation 3"])
 def test_switches_follow_parameters_and_other_ends_of_the_run(way, tmp_path):
     dae, more = integral(lambda t, a: ca.sin(100 * pi * a * t) > 0.99, 1.0), {"a": 2.0}
@@ -120,6 +140,7 @@ def test_switches_follow_parameters_and_other_ends_of_the_run(way, tmp_path):
     assert run.final["y"] == pytest.approx(2 * (pi - 2 * asin(0.99)) / (2 * pi), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_jump_is_found_where_no_bounds_are_known(tmp_path):
     """`atan2` falls from pi to -pi: by samples."""
     dae = integral(lambda t, a: ca.atan2(ca.sin(t), a * ca.cos(t) / 2) > pi / 2, 6.0)
@@ -128,6 +149,7 @@ def test_a_jump_is_found_where_no_bounds_are_known(tmp_path):
         assert run.final["y"] == pytest.approx(pi / 2, abs=1e-9), way
 
 
+@pytest.mark.slow_rows("ModelExchange 2", "CoSimulation 3")
 @pytest.mark.parametrize("way", WAYS)
 def test_an_angle_falls_though_its_rate_is_constant(way, tmp_path):
     dae = integral(lambda t, a: ca.atan2(ca.sin(t), ca.cos(t)) > a, 10.0)

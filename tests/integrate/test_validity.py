@@ -49,6 +49,7 @@ def test_run_stops_at_a_limit_when_asked_and_keeps_what_is_valid():
     np.testing.assert_allclose(partial["height"], exact, rtol=0, atol=1e-8)  # measured 2e-10
 
 
+@pytest.mark.slow_rows("stop")
 @pytest.mark.parametrize("on_invalid", ["stop", "ignore"])
 def test_run_that_stops_at_a_limit_has_no_event_after_it(on_invalid):
     model = Model("clock", stop_time=1.0)
@@ -91,6 +92,7 @@ def test_limit_without_meaning_or_declared_twice_is_refused():
         model.limit(x, "x is positive")
 
 
+@pytest.mark.slow_rows("ode8")
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])
 def test_fixed_step_too_long_for_a_near_singularity_is_flagged(solver):
     dae = cosim.load("double_pendulum/euler_313_axial")
@@ -110,6 +112,7 @@ def test_fixed_step_that_resolves_the_motion_is_not_flagged(solver):
 STEERED = {"phi_dot": 0.0, "delta": np.radians(85), "delta_dot": 1.0, "thetaR_dot": -3.0}
 
 
+@pytest.mark.slow_rows("book")
 @pytest.mark.parametrize("formulation", ["independent", "book"])
 def test_bicycle_of_three_speeds_stops_where_the_steer_angle_is_singular(formulation):
     dae = cosim.load(f"bicycle/{formulation}")
@@ -120,6 +123,7 @@ def test_bicycle_of_three_speeds_stops_where_the_steer_angle_is_singular(formula
         cosim.simulate(dae, start_values=start, stop_time=0.5, on_invalid="stop")
 
 
+@pytest.mark.slow
 def test_singular_steer_angle_is_not_a_limit_of_the_form_with_multipliers():
     dae = cosim.load("bicycle/multipliers")
     run = cosim.simulate(dae, start_values=STEERED, stop_time=0.1)
@@ -127,6 +131,7 @@ def test_singular_steer_angle_is_not_a_limit_of_the_form_with_multipliers():
     assert not any("steer angle" in text for text in run.stats["invalid"])
 
 
+@pytest.mark.slow
 def test_wheel_that_the_ground_would_have_to_hold_down_is_reported():
     run = cosim.simulate(cosim.load("bicycle/multipliers"), start_values=STEERED, stop_time=0.1)
     lifted = run.time[np.argmax(run["fz_Q"] > 0)]

@@ -30,6 +30,7 @@ def carts(masses, restitution, stop_time):
     return model.freeze()
 
 
+@pytest.mark.slow
 def test_elastic_impacts_keep_the_energy():
     run = cosim.simulate(
         carts([1.0, 2.0, 0.5], 1.0, 40.0), solver="dop853", relative_tolerance=1e-12
@@ -48,6 +49,7 @@ def test_a_thousand_elastic_impacts_keep_the_energy():
     assert abs(run["energy"] / run["energy"][0] - 1).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_inelastic_impact_of_two_carts_conserves_momentum():
     run = cosim.simulate(carts([1.0, 3.0], 0.5, 2.0), solver="dop853")
     event = next(event for event in run.events if event.name == "contact 1")
@@ -56,6 +58,7 @@ def test_inelastic_impact_of_two_carts_conserves_momentum():
     assert after[1] - after[0] == pytest.approx(-0.5 * (before[1] - before[0]), rel=1e-13)
 
 
+@pytest.mark.slow
 def test_two_contacts_close_at_once():
     """A plate that falls flat on two supports rebounds without turning."""
     model = Model("plate", stop_time=0.6)
@@ -126,6 +129,7 @@ def test_a_body_at_rest_does_not_sink_in_an_fmu(interface, tmp_path):
         cosim.simulate_fmu(file, interface=interface, start_values=values)
 
 
+@pytest.mark.slow
 def test_block_on_a_belt_sticks_and_slips():
     """Spring-loaded block: it sticks at the belt's speed until the spring reaches mu_s N."""
     model = Model("belt", stop_time=30.0, output_interval=0.05)

@@ -65,6 +65,9 @@ def times(run, what):
 
 
 # Measured error of the time: 4e-13 s (dop853), 2e-12 s (others)
+@pytest.mark.quick_rows(
+    "0.0-0.7-cvodes", "0.0--2.0-cvodes", "0.2-0.0-cvodes", "0.2-3.141592653589793-cvodes"
+)
 @SOLVERS
 @pytest.mark.parametrize(("tilt", "angle"), [(0.0, 0.7), (0.0, -2.0), (0.2, 0.0), (0.2, pi)])
 def test_a_block_thrown_straight_stops_at_the_exact_time_and_stays(solver, tilt, angle):
@@ -114,6 +117,7 @@ def test_an_fmu_sees_the_slow_phase_of_some_nanoseconds_before_the_rest(mu, angl
     assert run.final["v_down"] == run.final["v_across"] == 0
 
 
+@pytest.mark.quick_rows("0.0025")
 @pytest.mark.parametrize("interval", [0.008, 0.005, 0.0025])
 def test_the_time_of_rest_depends_on_no_output_interval(interval):
     """A cubic shows the block slow where it is not; at 0.008 s it came to rest 2 ms late."""
@@ -140,6 +144,7 @@ def test_no_tolerance_makes_it_chatter(solver, tolerance, mu, angle):
     assert run.final["v_down"] == run.final["v_across"] == 0
 
 
+@pytest.mark.slow_rows("0.5-dop853", "0.5-rosenbrock", "0.6-dop853")
 @SOLVERS
 @pytest.mark.parametrize("sticking", [0.5, 0.6])
 def test_a_push_tears_it_off_where_it_exceeds_the_friction_cone(solver, sticking):
@@ -163,6 +168,7 @@ def test_a_push_tears_it_off_where_it_exceeds_the_friction_cone(solver, sticking
     )
 
 
+@pytest.mark.slow
 def test_a_block_that_starts_at_rest_on_a_steep_slope_slides_at_once():
     run = cosim.simulate(block(0.2, 0.3, 0.0, speed=0.0), solver="dop853")
     acceleration = G * (sin(0.3) - 0.2 * cos(0.3))
@@ -176,6 +182,7 @@ def test_the_direction_at_the_start_follows_from_start_values():
     assert times(run, "sticks") == [pytest.approx(speed / (0.5 * G), abs=1e-9)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_stops_at_the_exact_time(tmp_path, fmi):
     path = cosim.export_fmu(block(0.5, 0.3, 1.2), tmp_path / "x.fmu", solver="dop853", fmi=fmi)

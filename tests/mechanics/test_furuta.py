@@ -60,6 +60,7 @@ def test_torque_that_prescribes_an_acceleration_gives_it_to_the_free_arm(page, r
     assert found[0] == pytest.approx(10.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_power_of_the_motor_is_the_rate_of_the_energy(page):
     run = cosim.simulate(
         page["build"](), inputs={"voltage": "6*sin(4*t)"}, output_interval=1e-3, stop_time=2.0,

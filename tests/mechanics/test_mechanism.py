@@ -286,6 +286,7 @@ def lagrange(times, run):
     return length * np.sin(angle), height - length * np.cos(angle)
 
 
+@pytest.mark.quick_rows("0.0-angle", "0.7-angle")
 @pytest.mark.parametrize("form", ["angle", "ode", "multipliers"])
 @pytest.mark.parametrize("begin", [0.0, 0.7])
 def test_what_moves_with_time_moves_as_lagrange_says(form, begin):
@@ -302,6 +303,7 @@ def test_what_moves_with_time_moves_as_lagrange_says(form, begin):
         np.testing.assert_allclose(run["up"], up, rtol=0, atol=bound)
 
 
+@pytest.mark.slow_rows("ModelExchange")
 @pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 def test_what_moves_with_time_moves_so_in_an_fmu(interface, tmp_path):
     path = cosim.export_fmu(shaken_pendulum("multipliers"), tmp_path / "shaken.fmu")

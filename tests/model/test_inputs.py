@@ -75,6 +75,7 @@ def test_series_of_some_inputs_only():
     assert series.only({"c"}) is None
 
 
+@pytest.mark.slow_rows("erk", "rosenbrock")
 @pytest.mark.parametrize("solver", ["cvodes", "cvodes_adams", "idas", "erk", "rosenbrock"])
 def test_torque_over_time_moves_a_free_bar_as_its_integrals_say(bar, solver):
     rtol = 1e-10
@@ -87,6 +88,7 @@ def test_torque_over_time_moves_a_free_bar_as_its_integrals_say(bar, solver):
     np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=500 * rtol)
 
 
+@pytest.mark.slow_rows("ode8")
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])
 def test_fixed_steps_that_end_at_the_samples_are_exact(bar, solver):
     corners = InputSeries(("T2",), [0.0, 0.2, 0.21, 0.5], [[0.0], [0.0], [0.05], [-0.05]])
@@ -334,6 +336,7 @@ def test_run_beyond_the_samples_is_reported(bicycle, first, last):
         assert "roll_torque" not in note
 
 
+@pytest.mark.slow
 def test_another_constant_of_a_formula_compiles_nothing(bicycle, monkeypatch):
     def steered(gain, **options):
         inputs = {"steer_torque": ("gain*phi_dot + offset", {"gain": gain, "offset": 0.5})}

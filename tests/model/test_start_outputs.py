@@ -39,6 +39,7 @@ def test_quantity_with_a_unit_is_taken():
     assert run["speed"][0] == pytest.approx(10.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_many_runs_take_speeds_row_by_row():
     dae = cosim.load("bicycle")
     speeds = np.array([3.0, 4.6, 7.0])
@@ -91,6 +92,7 @@ def test_exported_model_starts_with_the_wheel_s_rate_that_the_speed_gives(tmp_pa
     assert starts["thetaR_dot"] == pytest.approx(-6.0 / RADIUS, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_sensitivity_starts_where_the_run_starts():
     dae = cosim.load("bicycle")
     by = {"with_respect_to": ["g"], "check": False, "stop_time": 0.1, "solver": "erk"}
@@ -113,6 +115,7 @@ def squared(*, calculated=False):
     return model.freeze()
 
 
+@pytest.mark.slow
 def test_value_that_no_start_gives_is_refused_and_a_row_of_many():
     dae = squared()
     assert start(dae, square=9.0)["x"] == pytest.approx(3.0, rel=1e-14)

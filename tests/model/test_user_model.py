@@ -52,6 +52,7 @@ def test_dae_builder_runs_like_the_closed_form(file):
     np.testing.assert_allclose(run["x"], expected, rtol=0, atol=2e-8)  # measured 3e-9
 
 
+@pytest.mark.slow
 def test_dae_builder_takes_both_backends(file, tmp_path):
     dae = cosim.load(f"{file}:build")
     path = cosim.export_fmu(dae, tmp_path / "oscillator.fmu")

@@ -97,6 +97,7 @@ def test_drive_torque_is_the_moment_of_the_pin_loads_and_the_frames_inertia(bar,
         assert at["M_phi"] == pytest.approx(moment, rel=0, abs=2e-14)  # N.m of 3.5; measured 9e-16
 
 
+@pytest.mark.slow
 def test_formulations_agree_at_random_states(reduced, two_body):
     rng = np.random.default_rng(4)
     for i in range(1000):
@@ -171,6 +172,7 @@ def test_angular_velocity_turns_the_long_axis_and_its_rate_is_the_acceleration(b
             )  # 3e-14
 
 
+@pytest.mark.slow_rows("two_body")
 def test_run_of_the_book_ends_with_the_printed_numbers(bar):
     run = bar.run(10.0)
     in_pounds = run["f1_G_F"] / convert(1, "lbf", "N")
@@ -180,12 +182,14 @@ def test_run_of_the_book_ends_with_the_printed_numbers(bar):
     assert abs(run["theta"][-1]) < 1e-2  # measured 6e-4
 
 
+@pytest.mark.slow
 def test_bar_settles_level_and_the_torque_about_k_at_a_sixtieth(reduced):
     run = reduced.run(40.0)
     assert abs(run["theta"][-1]) < 1e-9  # measured 7e-12
     assert convert(run["tk_G_F"][-1], "N.m", "ft.lbf") == pytest.approx(1 / 60, rel=1e-9)  # 0
 
 
+@pytest.mark.slow_rows("1e-08", "1e-10")
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8, 1e-10])
 def test_jacobi_integral_drifts_no_more_than_the_tolerance_allows(reduced, rtol):
     run = reduced.run(10.0, rtol=rtol, **UNDRIVEN)

@@ -120,6 +120,7 @@ def test_accelerations_are_those_of_basu_mandal(bike):
         np.testing.assert_allclose(found[name], expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_formulations_agree_at_random_admissible_states(bikes):
     rng = np.random.default_rng(20)
     for _ in range(1000):

@@ -44,6 +44,7 @@ def test_front_wheel_starts_at_the_books_rate(bikes):
         np.testing.assert_allclose(started.full().ravel(), expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.quick_rows("multipliers")
 def test_run_ends_as_in_the_book(run):
     assert np.degrees(run["psi"][-1]) == pytest.approx(13.65, abs=5e-3)  # measured 13.6541
     assert run["thetaR_dot"][-1] == pytest.approx(-15.41, abs=5e-3)  # measured -15.4081

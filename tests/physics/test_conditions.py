@@ -86,6 +86,9 @@ def unit_diagonal(mass):
     return mass / np.outer(size, size)
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers", "bar_on_frame/two_body", "disk_two_bars/multipliers"
+)
 @pytest.mark.parametrize("name", SPEEDS)
 def test_mass_condition_is_that_of_the_kinetic_energy(models, name):
     rng = np.random.default_rng(40)
@@ -96,6 +99,7 @@ def test_mass_condition_is_that_of_the_kinetic_energy(models, name):
         assert models[name](**values)["mass_condition"] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow_rows("bicycle/multipliers")
 @pytest.mark.parametrize("name", KEPT)
 def test_constraint_condition_is_that_of_the_equations_that_are_solved(models, name):
     rng = np.random.default_rng(41)
@@ -219,6 +223,7 @@ def test_monitors_cost_nothing_until_they_are_asked_for(name):
     assert asked.observed == (*dae.observed, *names)
 
 
+@pytest.mark.slow
 def test_run_and_reduction_compute_the_monitors_that_are_named():
     dae = casadi_models.load("bicycle")
     run = cosim.simulate(dae, stop_time=0.1, outputs=["phi", "singularity_distance"])

@@ -92,6 +92,7 @@ def test_every_formulation_has_the_outputs_of_the_contract(disk):
     assert [v.name for v in disk.dae.states[:5]] == STATES
 
 
+@pytest.mark.slow
 def test_accelerations_and_loads_are_those_of_lagrange_and_newton(disk):
     rng = np.random.default_rng(1)
     for _ in range(100):
@@ -108,6 +109,7 @@ def test_accelerations_and_loads_are_those_of_lagrange_and_newton(disk):
         np.testing.assert_allclose(forces, rest[2:], rtol=0, atol=1e-11)  # N of 480; measured 1e-12
 
 
+@pytest.mark.slow
 def test_formulations_agree_at_random_states(twins):
     rng = np.random.default_rng(2)
     for _ in range(1000):
@@ -143,6 +145,7 @@ def test_drive_less_dampers_is_the_rate_of_energy_at_random_states(disk):
         assert disk.rates(**values)["energy"] == pytest.approx(power, rel=0, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_drive_less_dampers_adds_up_to_the_energy_over_the_run(disk):
     run = disk.run(20.0, rtol=1e-11, points=20001)
     relative = run["theta2_dot"] - run["theta1_dot"]
@@ -175,6 +178,7 @@ def turning_torque(theta):
     return [turning_potential(theta + step).imag / 1e-30 for step in steps]
 
 
+@pytest.mark.slow_rows("multipliers")
 def test_final_angles_are_the_static_equilibrium_in_the_turning_frame(disk):
     static = fsolve(turning_torque, [0.5, 0.5], xtol=1e-14)
     run = disk.run(20.0, rtol=1e-12)

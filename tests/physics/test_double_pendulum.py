@@ -117,6 +117,7 @@ def test_every_formulation_has_the_variables_of_the_contract(pendulum):
     assert ("singularity_1" in pendulum()) == dae.formulation.startswith("euler")
 
 
+@pytest.mark.slow
 def test_start_parameters_mean_the_same_motion_in_every_formulation(formulations):
     rng = np.random.default_rng(1)
     for _ in range(1000):
@@ -175,6 +176,9 @@ def test_free_bodies_accelerate_as_the_chain_does(formulations):
         np.testing.assert_allclose(centers, expected, rtol=0, atol=1e-12 * scale)  # measured 2e-15
 
 
+@pytest.mark.slow_rows(
+    "quaternion-lagrange", "euler_313-lagrange", "euler_313_axial-lagrange", "multipliers-lagrange"
+)
 @pytest.mark.parametrize("source", [oracles.lagrange, oracles.pinocchio, oracles.mujoco])
 def test_accelerations_are_those_of_an_independent_derivation(pendulum, source):
     rng = np.random.default_rng(5)
@@ -240,12 +244,14 @@ def test_invariants_hold_to_the_tolerance_over_the_default_run(default_runs):
             assert run[name] == pytest.approx(run[name][0], rel=1e-9)  # measured 3.4e-10
 
 
+@pytest.mark.slow
 def test_formulations_agree_at_the_tip_over_the_default_run(default_runs):
     first, *others = (tip(run) for run in default_runs.values())
     for other in others:
         np.testing.assert_allclose(other, first, rtol=0, atol=1e-9)  # m; measured 2e-11
 
 
+@pytest.mark.slow_rows("multipliers")
 @pytest.mark.parametrize("formulation", ["quaternion", "multipliers"])
 def test_norm_of_quaternions_is_pulled_to_one(formulations, formulation):
     equations = formulations[formulation]
@@ -258,6 +264,7 @@ def test_norm_of_quaternions_is_pulled_to_one(formulations, formulation):
     np.testing.assert_allclose(squared, expected, rtol=0, atol=1e-10)  # measured 7e-13
 
 
+@pytest.mark.slow
 def test_norm_error_of_quaternions_does_not_grow(formulations):
     equations = formulations["quaternion"]
     run = cosim.simulate(equations.dae, stop_time=1000, output_interval=1, relative_tolerance=1e-6)
@@ -284,6 +291,7 @@ def test_free_bodies_start_in_closed_joints(formulations):
         assert np.abs(gaps).max() < 1e-14 * start["length"]  # measured 5e-16
 
 
+@pytest.mark.slow
 def test_a_gap_in_a_joint_closes_with_its_double_root(formulations):
     equations = formulations["multipliers"]
     values = started(equations)
@@ -295,6 +303,7 @@ def test_a_gap_in_a_joint_closes_with_its_double_root(formulations):
     np.testing.assert_allclose(gaps, np.outer(decay, gaps[0]), rtol=0, atol=1e-9)  # measured 7e-12
 
 
+@pytest.mark.slow_rows("0.1", "0.001", "1e-06", "1e-10", "1e-12")
 @pytest.mark.parametrize("offset", [10.0**-k for k in range(1, 13)])
 def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, offset):
     start = {"theta1_0": offset, "theta2_0": -offset}
@@ -305,6 +314,7 @@ def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, o
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-8)  # m; measured 6e-10
 
 
+@pytest.mark.slow_rows("0.001-cvodes", "0.001-erk")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock"])
 @pytest.mark.parametrize("miss", [1e-3, 1e-6, 1e-9, 1e-12, 0.0])
 def test_passing_the_singularity_ends_accurate_or_refused(formulations, solver, miss):

@@ -67,6 +67,7 @@ def facts_of(page):
     return json.loads(text[1])
 
 
+@pytest.mark.slow
 def test_page_that_computes_knows_what_can_be_set():
     pytest.importorskip("ziglang")
     facts = facts_of(animate(cosim.load("bicycle")).page)
@@ -275,6 +276,7 @@ def height_of_the_tip(run):
     return min(path.points[:, 2].min() for path in played.paths)
 
 
+@pytest.mark.slow
 def test_variants_and_fmus_are_drawn_with_the_parameters_they_ran_with(exported):
     span = {"stop_time": 0.2, "output_interval": 0.1}
     native = cosim.simulate("double_pendulum", start_values=ARM, **span)
@@ -314,6 +316,7 @@ def test_missing_extra_names_the_command(run, tmp_path, monkeypatch, package, ki
     assert not (tmp_path / f"x.{kind}").exists()
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_no_extra():
     import sys
 

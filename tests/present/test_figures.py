@@ -79,6 +79,7 @@ def test_several_curves_in_a_panel_have_a_legend():
     assert named.axes[0].get_legend().get_texts()[0].get_text() == "left"
 
 
+@pytest.mark.slow
 def test_path_is_drawn_to_scale(path_run):
     spec = FigureSpec("Path", (("xP",),), x="yP", x_label="Y of P", equal=True)
     (figure,) = draw_figures([spec], path_run)
@@ -149,6 +150,7 @@ def test_overview_draws_every_variable_with_its_unit():
     assert [axis.get_ylabel() for axis in shown] == [f"{n} [lbf]" for n in "abcd"]
 
 
+@pytest.mark.slow
 def test_book_draws_nineteen_figures_of_the_bicycle():
     scene = cosim.read_scene("bicycle_model_1.toml")
     run = cosim.run_scene(scene)
@@ -176,6 +178,7 @@ def test_book_numbers_of_crank_and_bar_stand_in_their_figures():
     assert curves(torque.axes[1])[0][-1] == pytest.approx(0.016656, abs=5e-7)
 
 
+@pytest.mark.slow
 def test_compared_formulations_differ_by_no_more_than_their_tolerance():
     scene = cosim.read_scene("bar_theta.toml")
     other, backend = variant(scene.request, "two_body")
@@ -271,6 +274,7 @@ def test_plot_compares_with_any_backend(tmp_path, backend):
     assert target.exists()
 
 
+@pytest.mark.slow
 def test_plot_compares_plain_models(tmp_path):
     target = tmp_path / "crank.pdf"
     options = ["--compare", "multipliers", "--stop-time", "0.1", "--output-file", str(target)]

@@ -159,6 +159,7 @@ def test_what_one_run_lacks_is_named():
     assert notes == ("not drawn, as not every run has it: T, fx_A",)
 
 
+@pytest.mark.slow
 def test_formulations_with_other_outputs_are_compared_as_far_as_they_go(tmp_path, capsys):
     target = tmp_path / "x.pdf"
     words = ("double_pendulum_7_2.toml", "--compare", "multipliers", "--stop-time", "0.2")
@@ -166,6 +167,7 @@ def test_formulations_with_other_outputs_are_compared_as_far_as_they_go(tmp_path
     assert "not drawn, as not every run has it: psi1, theta1" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_scenes_results_and_fmus_overlay(tmp_path):
     fmu, table, target = tmp_path / "c.fmu", tmp_path / "c.csv", tmp_path / "x.png"
     assert main(["export", "crank_shaft", "-o", str(fmu), "-q"]) == 0

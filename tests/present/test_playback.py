@@ -34,6 +34,7 @@ def test_too_many_frames_are_rejected():
         frame_times(np.linspace(0, 1000, 100_001), 1.0, 30.0)
 
 
+@pytest.mark.slow
 def test_run_without_what_its_bodies_need_is_rejected_with_the_names():
     run = cosim.simulate(cosim.load("bicycle"), stop_time=0.1, outputs=["phi", "delta"])
     with pytest.raises(UsageError, match=r"did not record xP, psi, yP.*place the bodies"):

@@ -23,6 +23,7 @@ def without_playback(page):
     return re.sub(r'srcdoc="[^"]*"', "", page)
 
 
+@pytest.mark.slow
 def test_report_holds_every_part(page):
     for i, part in enumerate(
         ("The system", "In motion", "Numbers", "The book's numbers", "Figures",
@@ -66,6 +67,7 @@ def test_report_is_well_formed(page):
     assert not parser.open
 
 
+@pytest.mark.slow_rows("bicycle_model_1.toml")
 @pytest.mark.parametrize("name", ["crank_shaft.toml", "bar_on_frame.toml", "bicycle_model_1.toml"])
 def test_printed_numbers_are_met_as_far_as_they_were_printed(name):
     scene = cosim.read_scene(name)

@@ -43,6 +43,7 @@ def test_texts_of_close_crossings_stand_at_different_heights(sweep):
     assert lines == [2, 5, 2]
 
 
+@pytest.mark.slow
 def test_modes_and_sensitivities_differ_without_color(sweep):
     curves = [line for line in draw_eigenvalues(sweep).axes[0].lines if len(line.get_xdata()) > 2]
     assert len({line.get_marker() for line in curves}) == 3

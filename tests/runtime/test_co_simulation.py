@@ -33,6 +33,7 @@ def walk(fmu, end, step, slope=None):
     return np.array(fmu.get("q", "v", "w", "s"))
 
 
+@pytest.mark.slow_rows("0.001-step", "0.001-dop853")
 @pytest.mark.parametrize("step", [1e-3, 1e-2, 0.1, 2.0])
 def test_the_result_does_not_depend_on_the_communication_step(cs, step):
     cs.initialize({"tolerance": 1e-10})

@@ -46,6 +46,7 @@ def move(fmu, time, *states):
     assert fmu("SetContinuousStates", reals(*states), len(states)) == OK
 
 
+@pytest.mark.slow
 def test_a_rollback_in_the_middle_of_bounces_gives_the_same_bits(make):
     fmu, other = (make("ball", BALL, 1).initialize() for _ in range(2))
     for k in range(8):
@@ -63,6 +64,7 @@ def test_a_rollback_in_the_middle_of_bounces_gives_the_same_bits(make):
     assert once[3] == 4
 
 
+@pytest.mark.quick_rows("64")
 @pytest.mark.parametrize("steps", [1, 7, 64])
 def test_impacts_do_not_depend_on_the_communication_step(make, steps):
     runs = []
@@ -108,6 +110,7 @@ def test_modes_are_no_inputs(make):
     assert fmu.said.endswith("mode_1, a calculated mode, cannot be set now")
 
 
+@pytest.mark.slow
 def test_samples_are_time_events(make):
     fmu = make("sampled", SAMPLED, 0).initialize()
     info = update(fmu)
@@ -121,6 +124,7 @@ def test_samples_are_time_events(make):
     assert fmu.get("u") == [-1.6]
 
 
+@pytest.mark.slow
 def test_a_stop_ends_the_simulation_in_both_versions(make):
     names = ("time", "x", "der(x)", "mode_1", "event_indicator_1")
     fmu = make("stopping", names, 1).initialize()
@@ -137,6 +141,7 @@ def test_a_stop_ends_the_simulation_in_both_versions(make):
     assert reached == last.value
 
 
+@pytest.mark.slow
 def test_there_are_derivatives_of_the_present_mode_but_none_while_sliding(make):
     fmu, result = make("block", BLOCK, 1).initialize(), reals(0)
 

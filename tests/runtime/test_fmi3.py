@@ -21,6 +21,7 @@ def run(fmu, function, unknowns, knowns, seed, count):
 # -- creation -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows("step-0-options0-its GUID is {other}")
 @pytest.mark.parametrize(
     ("interface", "options", "reason"),
     [

@@ -40,6 +40,7 @@ def stepped(fmi3, watch, **options):
     return fmu, fmu.step(0.0, STRETCH)
 
 
+@pytest.mark.slow
 def test_the_solvers_steps_are_shown_and_change_nothing(fmi3):
     watch = Watch()
     fmu, (status, flags, reached) = stepped(fmi3, watch)

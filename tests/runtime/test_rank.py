@@ -59,6 +59,7 @@ def completed(fmu, t, q, v):
     return status
 
 
+@pytest.mark.slow
 def test_a_loss_within_a_step_is_an_error_that_says_where(me):
     """q falls from 0.1 to -0.1 in a straight line: through 0 in the middle."""
     assert completed(me, 1.0, 0.1, -1.0) == OK
@@ -67,6 +68,7 @@ def test_a_loss_within_a_step_is_an_error_that_says_where(me):
     assert ("use co-simulation" in me.said) is (me.solver == "dop853")
 
 
+@pytest.mark.slow_rows("(2, 'step')", "(3, 'step')")
 def test_a_step_that_turns_before_a_loss_is_fine(me):
     assert completed(me, 1.0, 0.1, -1.0) == OK
     assert completed(me, 1.1, 0.1, 1.0) == OK  # the least q between is 0.075

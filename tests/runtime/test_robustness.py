@@ -14,12 +14,14 @@ def fuzzer(tmp_path_factory):
     return fuzzers(tmp_path_factory.mktemp)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("version", [2, 3])
 def test_random_calls_do_no_harm(fuzzer, solver, version):
     check(fuzzer(solver, version, *SANITIZED), seed=1, calls=20_000)
 
 
+@pytest.mark.slow_rows("dop853-2")
 @pytest.mark.parametrize(
     ("solver", "version"),
     [("dop853", 2), *(pytest.param(s, v, marks=pytest.mark.slow)
@@ -29,6 +31,7 @@ def test_random_calls_do_no_harm_to_a_model_that_watches_its_constraints(fuzzer,
     check(fuzzer(f"{solver} rank", version, *SANITIZED), seed=1, calls=30_000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_random_calls_do_no_harm_to_a_model_with_events(fuzzer, version):
     check(fuzzer("dop853 events", version, *SANITIZED), seed=1, calls=20_000)
@@ -58,23 +61,27 @@ def check(program, seed, calls):
     assert float(longest) < 0.2  # s of CPU, under sanitizers; measured 0.01 to 0.02
 
 
+@pytest.mark.slow
 def test_a_failing_allocation_leaves_nothing_behind(model, tmp_path):
     watched = [*SANITIZED, *(flag for flag in WRAPPED if "malloc" not in flag)]
     failures = run([program("allocation", model, 2, tmp_path, watched)])
     assert int(failures) == 3  # instance, FMU state, de-serialized state
 
 
+@pytest.mark.slow
 @with_each_solver
 def test_64_threads_and_1000_instances_give_the_bits_of_serial_runs(model, tmp_path):
     crowd = program("crowd", model, 2, tmp_path, ["-g", "-O2"])
     assert int(run([crowd, 64, 1000])) == 1000
 
 
+@pytest.mark.slow
 def test_threads_share_nothing(model, tmp_path):
     crowd = program("crowd", model, 2, tmp_path, THREADED)
     assert int(run([crowd, 16, 32])) == 32
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SOLVERS)
 def test_a_model_with_nothing_but_a_state_compiles_without_a_warning(kind, tmp_path):
     toy.write(tmp_path, toy.bare(), toy.BARE, kind)

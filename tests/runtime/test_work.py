@@ -70,6 +70,7 @@ def step(counted, length):
     return status, calls, messages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1e4, 1e9, 1e15])
 def test_absurd_step_is_discarded_after_bounded_work(counted, length):
     status, calls, messages = step(counted, length)
@@ -78,6 +79,7 @@ def test_absurd_step_is_discarded_after_bounded_work(counted, length):
     assert "came no further than" in messages[-1][2]
 
 
+@pytest.mark.quick_rows("dop853")
 def test_step_of_a_second_has_all_the_work_it_needs(counted):
     status, calls, _ = step(counted, 1.0)
     assert status == OK

@@ -60,6 +60,7 @@ def write(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_everything_in_a_scene_reaches_the_run(write):
     run = cosim.run_scene(read_scene(write(GOOD)))
     same = cosim.simulate(
@@ -79,6 +80,7 @@ def test_everything_in_a_scene_reaches_the_run(write):
         np.testing.assert_allclose(run[name], same[name], rtol=0, atol=20e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["fmu-me", "fmu-cs"])
 def test_everything_in_a_scene_reaches_the_fmu(write, backend):
     scene = read_scene(write(GOOD))

@@ -24,6 +24,7 @@ def verdicts(checks: list[Check]) -> list[tuple[str, str, str, str]]:
     return [(c.model.partition("/")[2], c.backend, c.against, c.verdict) for c in checks]
 
 
+@pytest.mark.slow
 def test_every_formulation_takes_every_backend():
     assert verdicts(list(crosscheck(["crank_shaft"], **SHORT))) == [
         ("driven", "fmu-me", "cvodes", "ok"),
@@ -165,6 +166,7 @@ def failing_fmus(monkeypatch):
     monkeypatch.setattr(crosschecks, "run_file", run_file)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("failing_fmus")
 def test_run_that_fails_does_not_end_the_others():
     checks = list(crosscheck(["crank_shaft"], **SHORT))
@@ -173,6 +175,7 @@ def test_run_that_fails_does_not_end_the_others():
     assert checks[1].row()["worst"] is None
 
 
+@pytest.mark.slow
 def test_model_that_fails_on_our_backend_is_a_failed_check(monkeypatch):
     original = crosschecks.execute
 

@@ -55,6 +55,7 @@ def test_closed_form_of_the_crank_lies_within_the_estimated_error():
     assert error < 3 * found.errors["phi"]  # measured 1.0
 
 
+@pytest.mark.slow
 def test_two_different_methods_make_a_reference():
     found = reference(oscillator())
     assert found.method.split()[0] != found.check.split()[0]
@@ -132,6 +133,7 @@ def test_key_depends_on_everything_that_changes_the_trajectory():
     assert reference_key(cosim.requested(oscillator())) == reference_key(scene)
 
 
+@pytest.mark.slow
 def test_formulations_of_one_model_have_one_reference():
     """DAE against ODE: other equations, other solvers."""
     ode, dae = (reference(catalogue.load(f"crank_shaft/{f}")) for f in ("driven", "multipliers"))
@@ -140,6 +142,7 @@ def test_formulations_of_one_model_have_one_reference():
         assert apart < 3 * (ode.errors[name] + dae.errors[name])  # measured 0 to 1.3
 
 
+@pytest.mark.slow
 def test_solution_that_does_not_exist_has_no_reference():
     with pytest.raises(
         SolverError, match=r"blow_up: no two methods agree on a reference; .*stopped"

@@ -38,6 +38,7 @@ def as_fmpy_reads(names, rows) -> np.ndarray:
     return np.array([tuple(row) for row in rows], dtype=[(name, np.float64) for name in names])
 
 
+@pytest.mark.slow_rows("bicycle/multipliers", "double_pendulum/quaternion")
 @EVERY
 def test_fmpys_comparison_finds_no_outlier_in_any_result(name, exported):
     """Signals that are constant or zero but for rounding have no range to be compared with."""
@@ -102,6 +103,7 @@ def test_fmu_without_a_reference_is_written_and_says_why(tmp_path, monkeypatch):
         next(check_file(path))
 
 
+@pytest.mark.slow
 def test_second_solver_computes_the_reference_if_the_first_fails(tmp_path, monkeypatch):
     original = reference_result.execute
 

@@ -44,6 +44,7 @@ def test_the_fastest_decay_of_many_states_is_that_of_the_fastest_mode():
     assert 0.99 * exact < fastest_decay(dae) < 1.000001 * exact  # measured 0.9997
 
 
+@pytest.mark.slow
 def test_fast_vibrations_of_many_states_are_no_fast_decay():
     n, damping = 150, 4.0
     x, v = ca.SX.sym("x", n), ca.SX.sym("v", n)
@@ -54,6 +55,7 @@ def test_fast_vibrations_of_many_states_are_no_fast_decay():
     assert solver_for(dae, None) == "dop853"
 
 
+@pytest.mark.slow_rows("1000000.0-rosenbrock")
 @pytest.mark.parametrize(("rate", "solver"), [(10.0, "dop853"), (1e6, "rosenbrock")])
 def test_a_stiff_model_gets_the_implicit_solver_and_runs(rate, solver, tmp_path):
     path = cosim.export_fmu(relaxation(rate), tmp_path / "model.fmu")

@@ -60,6 +60,7 @@ def compiled(function, lanes):
     return call
 
 
+@pytest.mark.quick_rows("8")
 @pytest.mark.parametrize("lanes", [1, 4, 8])
 def test_every_operation_agrees_with_casadi_in_every_lane(lanes):
     function = ca.Function("f", [x, y], [ca.vertcat(*OPERATIONS.values())])

@@ -32,12 +32,14 @@ def test_rk4_satisfies_every_condition_exactly(tree):
     assert residual(RK4, tree) == 0
 
 
+@pytest.mark.slow_rows("8")
 @pytest.mark.parametrize("nodes", range(1, 9))
 def test_ode8_satisfies_every_condition_to_the_digits_of_its_source(nodes):
     # Its published coefficients are fractions close to the true ones; measured 4e-18 to 6e-18
     assert max(residual(ODE8, tree) for tree in trees(nodes)) < 1e-16
 
 
+@pytest.mark.slow_rows("ode8")
 @pytest.mark.parametrize("tableau", METHODS.values(), ids=METHODS)
 def test_order_is_not_higher_than_declared(tableau):
     assert (

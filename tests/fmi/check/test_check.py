@@ -109,6 +109,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow_rows("the GUID or instantiation token is missing")
 @pytest.mark.parametrize("problem", FAULTS)
 def test_fault_in_the_description_is_found(problem, exported, tmp_path):
     path = with_description(exported(NAME), tmp_path / "faulty.fmu", FAULTS[problem])

@@ -79,6 +79,7 @@ def test_token_elsewhere_is_advice_only(exported, tmp_path):
     assert [(one.level, one.rule) for one in examine(path)] == [(ADVICE, "token")]
 
 
+@pytest.mark.quick_rows("2-bar_on_frame/reduced")
 @pytest.mark.parametrize("name", [NAME, "bicycle/independent", "crank_shaft/multipliers"])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_our_own_files_are_sound(name, fmi, exported, capsys):

@@ -71,12 +71,14 @@ def found(path):
     return {(one.level, one.rule) for one in try_apart(path, timeout=24.0, trials=QUICK).findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_mutation_is_found_by_its_rule(mutation, tmp_path):
     bodies, rules = MUTATIONS[mutation]
     assert found(wrapped(tmp_path, **bodies)) == rules
 
 
+@pytest.mark.slow
 def test_adjoint_derivative_that_is_wrong_is_found(tmp_path):
     options = {"fmi": 3, "adjoint": True}
     assert found(wrapped(tmp_path, options)) == set()
@@ -85,6 +87,7 @@ def test_adjoint_derivative_that_is_wrong_is_found(tmp_path):
     assert found(path) == {(WRONG, "derivatives")}
 
 
+@pytest.mark.slow
 def test_solver_that_is_too_coarse_is_advice_unless_its_step_is_declared(tmp_path):
     options, model = {"solver": "rk4", "step_size": 0.1}, decay(rate=20.0)
     large = set_attributes("DefaultExperiment", stepSize="0.1")
@@ -93,6 +96,7 @@ def test_solver_that_is_too_coarse_is_advice_unless_its_step_is_declared(tmp_pat
         assert found(with_description(path, tmp_path / "a.fmu", large)) == rules
 
 
+@pytest.mark.slow
 def test_coarse_solver_of_a_model_at_rest_is_not_blamed_for_input_derivatives(tmp_path):
     model = Model("decay", description="decay", source="a test", stop_time=1.0)
     x, force = model.state("x", "m", 0.0, "place"), model.input("force", "m/s", 0.0, "push")
@@ -103,6 +107,7 @@ def test_coarse_solver_of_a_model_at_rest_is_not_blamed_for_input_derivatives(tm
     assert found(with_description(path, tmp_path / "a.fmu", large)) == {(ADVICE, "motion")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [

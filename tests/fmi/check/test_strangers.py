@@ -73,6 +73,7 @@ def test_file_of_pythonfmu_needs_a_program_that_holds_python(python_fmu, tmp_pat
     assert re.search("undefined symbol: _?Py", done.stdout)  # what a program in C gets
 
 
+@pytest.mark.slow
 def test_file_of_pythonfmu_passes_the_trials(python_fmu):
     verdict = try_apart(python_fmu(), timeout=24.0)
     found = {(f.level, f.rule) for f in verdict.findings}
@@ -80,6 +81,7 @@ def test_file_of_pythonfmu_passes_the_trials(python_fmu):
     assert {(ADVICE, "stop")} <= found <= {(ADVICE, "stop"), (ADVICE, "memory")}
 
 
+@pytest.mark.slow
 def test_error_in_a_step_is_told_once(python_fmu):
     found = try_apart(python_fmu("missing + "), timeout=24.0).findings
     failed = [f for f in found if f.level != ADVICE]

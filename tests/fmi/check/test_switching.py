@@ -48,6 +48,7 @@ def relay():
     return model.freeze()
 
 
+@pytest.mark.quick_rows("ball-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("build", [ball, sampled, relay])
 def test_own_files_with_events_have_no_finding(build, fmi, tmp_path):
@@ -57,6 +58,7 @@ def test_own_files_with_events_have_no_finding(build, fmi, tmp_path):
     assert any(text.startswith("switching (CoSimulation)") for text in answer.passed)
 
 
+@pytest.mark.slow
 def test_an_own_file_that_ends_its_run_within_the_first_steps_has_no_finding(tmp_path):
     model = cosim.Model("brief", stop_time=2.0)
     x = model.state("x", "1", 0.0, "x")
@@ -96,6 +98,7 @@ FAULTS = {
 }  # fmt: skip
 
 
+@pytest.mark.quick_rows("a jump that is not reported")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_at_an_event_is_found(fault, tmp_path):
     build, bodies = FAULTS[fault]
@@ -124,6 +127,12 @@ def swing():
     return model.freeze()
 
 
+@pytest.mark.slow_rows(
+    "true-constant dependent-places0",
+    "true-fixed dependent-places1",
+    "true-dependent tunable-places4",
+    "true-dependent dependent-places5",
+)
 @pytest.mark.parametrize(
     ("kinds", "places"),
     [

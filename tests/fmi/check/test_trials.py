@@ -66,6 +66,7 @@ def unneeded(fmi) -> set[str]:
     return {"switching"} | ({"logger"} if fmi == 3 else set())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fmi"), [(NAME, 2), ("crank_shaft/multipliers", 3)])
 def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
     options = ["--run", "--json", "--timeout", str(SHORT)]
@@ -77,6 +78,18 @@ def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
     assert passed == {trial.__name__ for trial in TRIALS} - unneeded(fmi)
 
 
+@pytest.mark.slow_rows(
+    "crank_shaft/multipliers-2",
+    "crank_shaft/multipliers-3",
+    "bar_on_frame/reduced-2",
+    "bar_on_frame/reduced-3",
+    "bicycle/multipliers-2",
+    "bicycle/multipliers-3",
+    "disk_two_bars/reduced-2",
+    "disk_two_bars/reduced-3",
+    "double_pendulum/quaternion-2",
+    "double_pendulum/quaternion-3",
+)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compiler(
@@ -91,12 +104,14 @@ def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compil
     assert passed == {trial.__name__ for trial in QUICK} - unneeded(fmi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTY)
 def test_fault_in_a_run_is_found_by_its_rule_alone(fault, tmp_path):
     function, body, rules = FAULTY[fault]
     assert found(wrapped(tmp_path, **{function: body})) == rules
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("early", "level"),
     [("return fmi2Error", WRONG), ("return CALL, value[0] += 1, fmi2OK", ADVICE)],
@@ -113,6 +128,7 @@ def test_outputs_in_initialization_mode_are_those_after_it(early, level, tmp_pat
     assert found(path) == {(level, "initialization")}
 
 
+@pytest.mark.slow
 def test_last_step_that_must_end_at_the_stop_time_exactly_is_advice(tmp_path):
     setup = "(void)hasStop; limit = end; return CALL;"
     step = "if (limit > 0 && point + size > limit) return fmi2Error; return CALL;"
@@ -120,6 +136,7 @@ def test_last_step_that_must_end_at_the_stop_time_exactly_is_advice(tmp_path):
     assert found(path) == {(ADVICE, "stop")}
 
 
+@pytest.mark.slow
 def test_callbacks_that_need_not_be_passed_are_not_needed(tmp_path):
     body = "if (!functions->allocateMemory) return 0; return CALL;"
     path = wrapped(tmp_path, fmi2Instantiate=body)
@@ -133,6 +150,7 @@ def test_callbacks_that_need_not_be_passed_are_not_needed(tmp_path):
         assert found(with_description(path, tmp_path / f"{value}.fmu", mark)) == rules
 
 
+@pytest.mark.slow
 def test_one_crash_does_not_end_the_other_trials(tmp_path):
     body = "if (!functions->logger) *(volatile int *)0 = 1; return CALL;"
     verdict = try_apart(wrapped(tmp_path, fmi2Instantiate=body), timeout=SHORT)
@@ -143,6 +161,7 @@ def test_one_crash_does_not_end_the_other_trials(tmp_path):
     assert {"sources (ModelExchange)", "steps (CoSimulation)"} <= passed
 
 
+@pytest.mark.slow
 def test_sources_that_do_not_compile_or_lack_a_file_are_found(exported, tmp_path):
     broken = {"sources/equations.c": b"int f(void) { return missing; }"}
     path = rewritten(exported(NAME), tmp_path / "broken.fmu", broken)
@@ -156,6 +175,7 @@ def test_sources_that_do_not_compile_or_lack_a_file_are_found(exported, tmp_path
     assert "undefined reference" in finding.found
 
 
+@pytest.mark.slow
 def test_what_is_listed_without_influence_is_advice(exported, tmp_path):
     edit = set_attributes("ModelStructure/Derivatives/Unknown", dependencies="2 3 4 5")
     path = with_description(exported(NAME), tmp_path / "full.fmu", edit)
@@ -164,6 +184,7 @@ def test_what_is_listed_without_influence_is_advice(exported, tmp_path):
     assert "'der(theta)' of 'theta'" in finding.found
 
 
+@pytest.mark.slow
 def test_undeclared_dependency_is_found(exported, tmp_path):
     edit = set_attributes("ModelStructure/Derivatives/Unknown[2]", dependencies="")
     path = with_description(exported(NAME), tmp_path / "faulty.fmu", edit)
@@ -173,6 +194,7 @@ def test_undeclared_dependency_is_found(exported, tmp_path):
     assert found(path) == {(WRONG, "dependencies")}  # by differences
 
 
+@pytest.mark.slow
 def test_derivatives_to_another_state_are_found(exported, tmp_path):
     def swap(root):
         rates = [r for r in root.iterfind("ModelVariables/*/Real") if r.get("derivative")]
@@ -184,6 +206,7 @@ def test_derivatives_to_another_state_are_found(exported, tmp_path):
     assert (WRONG, "derivatives") in found(path)
 
 
+@pytest.mark.slow
 def test_fixed_parameter_that_can_be_set_is_advice(exported, tmp_path):
     def fix(root):
         for variable in root.iterfind("ModelVariables/ScalarVariable[@causality='parameter']"):
@@ -199,6 +222,7 @@ def test_file_for_another_token_does_not_start(exported, tmp_path):
     assert found(path) == {(WRONG, "start")}
 
 
+@pytest.mark.quick_rows("fmi2ExitInitializationMode status 3-start")
 @pytest.mark.parametrize(
     ("fault", "rule"),
     [

@@ -29,6 +29,7 @@ def error(known, path):
     return abs(run["x"][-1] - known.solution(run.time)[0][-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("algebraic", [False, True])
 @pytest.mark.parametrize("solver", ORDERS)
@@ -44,6 +45,7 @@ def test_error_falls_with_the_order_of_the_method(solver, algebraic, fmi, tmp_pa
     assert errors[0] / errors[1] > 0.8 * 2 ** ORDERS[solver]  # measured 16 and 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.01, 0.003])
 def test_steps_are_those_of_native_simulation(step, tmp_path):
     dae = cosim.load("bicycle")
@@ -53,6 +55,7 @@ def test_steps_are_those_of_native_simulation(step, tmp_path):
     assert cosim.compare(native, run).worst.scaled < 1e-12  # measured 3e-15
 
 
+@pytest.mark.slow
 def test_event_divides_a_step(tmp_path):
     path = cosim.export_fmu(event_models.ball(), tmp_path / "ball.fmu", solver="rk4")
     run = cosim.simulate_fmu(path, interface="CoSimulation")
@@ -67,6 +70,7 @@ def test_description_tells_the_step(tmp_path):
     assert root.find("CoSimulation").get("fixedInternalStepSize") == "0.01"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_without_derivatives_the_results_have_the_same_bits(fmi, tmp_path):
     dae = cosim.load("disk_two_bars")
@@ -105,6 +109,7 @@ def test_unknown_solver_is_rejected_with_all_names(tmp_path):
         cosim.export_fmu(oscillator().dae, tmp_path / "o.fmu", solver="ode7")
 
 
+@pytest.mark.slow
 def test_command_line(tmp_path):
     path = tmp_path / "crank.fmu"
     words = ["export", "crank_shaft", "--solver", "rk4", "--step-size", "1ms", "-o", str(path)]
@@ -133,6 +138,7 @@ def sources(tmp_path_factory):
 STATIC = ["-std=c11", "-O1", "-ffp-contract=off", "-DFMU_STATIC=65536", f"-I{fmi_headers()}"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a command line of cc")
 @pytest.mark.skipif(not (shutil.which("cc") and shutil.which("nm")), reason="no cc and nm")
 def test_static_instance_needs_no_heap_and_gives_the_same_bits(sources, tmp_path):
@@ -158,6 +164,7 @@ def test_static_instance_needs_no_heap_and_gives_the_same_bits(sources, tmp_path
     np.testing.assert_array_equal(runs[0].values, runs[1].values)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="no ziglang")
 def test_controller_compiles_it(sources, tmp_path):
     import ziglang

@@ -43,6 +43,7 @@ def truth(time):
     return np.sin(time) < 0.5
 
 
+@pytest.mark.slow_rows("ModelExchange-2", "ModelExchange-3")
 @VERSIONS
 @pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 def test_valid_is_true_exactly_where_the_limits_hold(files, fmi, interface):

@@ -41,6 +41,7 @@ def assert_untouched(target: Path) -> None:
 # -- the same input, the same bytes -------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_exports_are_identical_from_every_folder_and_cache(tmp_path, monkeypatch):
     contents = set()
     for cache, folder in (("one", "a"), ("one", "b c"), ("two", "ü")):
@@ -51,6 +52,7 @@ def test_exports_are_identical_from_every_folder_and_cache(tmp_path, monkeypatch
     assert len(contents) == 1
 
 
+@pytest.mark.slow
 def test_another_python_process_exports_the_same_bytes(target):
     code = "import cosim, sys, helpers.small_models as m; cosim.export_fmu(m.decay(), sys.argv[1])"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "PYTHONHASHSEED": "7"}
@@ -58,6 +60,7 @@ def test_another_python_process_exports_the_same_bytes(target):
     assert target.read_bytes() == cosim.export_fmu(decay(), target).read_bytes()
 
 
+@pytest.mark.slow
 def test_token_changes_with_the_model_and_only_with_it(tmp_path):
     def token(dae) -> str:
         path = cosim.export_fmu(dae, tmp_path / "model.fmu")
@@ -111,6 +114,7 @@ def test_invalid_identifier_is_rejected(name, target):
     assert_untouched(target)
 
 
+@pytest.mark.slow
 def test_two_models_of_one_identifier_run_in_one_process(tmp_path):
     """`a/b` and `a_b` both become a_b; each run loads its own library."""
     paths = [
@@ -137,6 +141,7 @@ def test_unknown_form_of_generated_code_is_rejected(target, monkeypatch):
     assert_untouched(target)
 
 
+@pytest.mark.slow_rows("ModelExchange-2", "ModelExchange-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("interface", ["ModelExchange", "CoSimulation"])
 def test_model_without_states_is_exported(fmi, interface, tmp_path):
@@ -269,6 +274,7 @@ except cosim.CosimError as error:
 """
 
 
+@pytest.mark.quick_rows("0")
 @POSIX
 @pytest.mark.parametrize("room", [0, 1000, 20_000])
 def test_full_disk_leaves_the_old_file(room, target):
@@ -288,6 +294,7 @@ for rate in itertools.cycle((0.5, 0.6)):
 """
 
 
+@pytest.mark.slow
 @POSIX
 def test_killed_export_leaves_a_whole_file(target):
     whole = {cosim.export_fmu(decay(rate=rate), target).read_bytes() for rate in (0.5, 0.6)}
@@ -308,6 +315,7 @@ cosim.export_fmu(decay(rate=float(sys.argv[2])), sys.argv[1])
 """
 
 
+@pytest.mark.slow_rows("warm")
 @POSIX
 @pytest.mark.parametrize(
     "compiled", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["warm", "cold"]

@@ -76,6 +76,7 @@ def file(request, tmp_path_factory):
     return export_with_reference(spinning(), path, fmi=request.param, names="structured")
 
 
+@pytest.mark.slow_rows("3")
 def test_importers_see_structured_names(file):
     assert validate_fmu(str(file)) == []
     assert cosim.check_fmu(file) == []
@@ -89,6 +90,7 @@ def test_importers_see_structured_names(file):
     assert result["P.v[1]"][-1] == pytest.approx(3 - 2 * np.exp(-1), abs=1e-6)
 
 
+@pytest.mark.slow_rows("2")
 def test_the_tools_here_know_both_names(file):
     flat = cosim.simulate_fmu(file, start_values={"gain_1": 3.0}, outputs=["vx_P"])
     other = cosim.simulate_fmu(file, start_values={"gain[1]": 3.0}, outputs=["P.v[1]"])
@@ -101,6 +103,7 @@ def test_the_tools_here_know_both_names(file):
         cosim.simulate_fmu(file, outputs=["P.v[4]"])
 
 
+@pytest.mark.slow_rows("3")
 def test_the_reference_inside_has_the_files_own_names_and_is_found(file):
     with zipfile.ZipFile(file) as fmu:
         head = next(csv.reader(io.StringIO(fmu.read("documentation/reference.csv").decode())))

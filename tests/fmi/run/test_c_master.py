@@ -43,6 +43,7 @@ def both(path, **options):
 # -- numbers ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows("(0.0, 1.0, 0.1)-2")
 @VERSIONS
 @pytest.mark.parametrize("times", [(0.0, 1.0, 0.1), (0.3, 1.0, 0.13), (0.0, 0.5, 0.7)], ids=str)
 def test_co_simulation_has_the_bits_of_fmpy(fmi, times, fmus):

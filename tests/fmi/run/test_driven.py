@@ -48,6 +48,7 @@ def test_law_is_followed_as_accurately_as_the_interface_can(integrator, interfac
     assert np.abs(run["x"] - exact(run.time)).max() < bound
 
 
+@pytest.mark.slow_rows("3-text-ModelExchange")
 @pytest.mark.parametrize("interface", KINDS)
 @pytest.mark.parametrize("law", [LAW, lambda t: 2 * np.sin(FREQUENCY * t)], ids=["text", "call"])
 def test_output_that_depends_on_an_input_follows_it_exactly(lag, interface, law):
@@ -193,6 +194,7 @@ def test_jump_at_the_start_or_the_end_is_none_within_the_run(lag):
             assert run.final["x"] == pytest.approx(1 - 0.5 / np.e, abs=1e-6)
 
 
+@pytest.mark.slow_rows("2")
 def test_file_with_a_time_twice_drives_both_backends_alike(lag, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rows = "\n".join(f"{t:.17g},{u}" for t, (u,) in zip(JUMPS.time, JUMPS.values, strict=True))

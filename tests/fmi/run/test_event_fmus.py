@@ -61,6 +61,7 @@ def height(t):
     return v * (t - begin) - event_models.G * (t - begin) ** 2 / 2
 
 
+@pytest.mark.slow_rows("2-CoSimulation-fmpy-1e-09", "3-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @VERSIONS
 def test_a_ball_bounces_at_the_times_of_the_closed_form(exported, fmi, interface, master, bound):
@@ -83,6 +84,7 @@ def test_fmpy_itself_runs_the_ball(exported):
     assert rows["h"][-1] == pytest.approx(height(rows["time"][-1]), abs=2e-7)
 
 
+@pytest.mark.slow_rows("0.001-CoSimulation-fmpy-1e-09", "1e-06-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @pytest.mark.parametrize("width", [1e-3, 1e-6])
 def test_a_short_push_has_its_exact_impulse(exported, width, interface, master, bound):
@@ -90,24 +92,30 @@ def test_a_short_push_has_its_exact_impulse(exported, width, interface, master, 
     assert run.final["v"] == pytest.approx(1000 * width, abs=1e-11)  # measured 1e-12
 
 
+@pytest.mark.slow_rows("CoSimulation-fmpy-1e-09")
 @EACH_RUN
 def test_half_waves_add_up_to_four(exported, interface, master, bound):
     run = simulate(exported("rectified"), interface, master)
     assert run.final["y"] == pytest.approx(4, abs=2 * bound)  # measured 4e-14; fmpy's CVODE 2e-7
 
 
+@pytest.mark.slow_rows("CoSimulation-fmpy-1e-09")
 @EACH_RUN
 def test_every_period_of_a_square_wave_is_met(exported, interface, master, bound):
     run = simulate(exported("square_wave"), interface, master)
     assert run.final["x"] == pytest.approx(0.002, abs=bound)  # measured 3e-16; fmpy's CVODE 1e-15
 
 
+@pytest.mark.slow_rows("CoSimulation-fmpy-1e-09")
 @EACH_RUN
 def test_a_single_state_goes_on_after_its_event_at_0(exported, interface, master, bound):
     run = simulate(exported("falling"), interface, master)
     assert run.final["x"] == pytest.approx(-2 / 3, abs=bound)
 
 
+@pytest.mark.quick_rows(
+    "fmax-CoSimulation-c-1e-09", "fmax-ModelExchange-fmpy-2e-07", "fmax-ModelExchange-c-2e-07"
+)
 @EACH_RUN
 @pytest.mark.parametrize("form", ["fmax", "if_else", "power"])
 def test_branch_ends_where_its_law_is_not_defined(exported, form, interface, master, bound):
@@ -115,6 +123,7 @@ def test_branch_ends_where_its_law_is_not_defined(exported, form, interface, mas
     assert run.final["x"] == pytest.approx(event_models.DRAINED, abs=bound)
 
 
+@pytest.mark.slow_rows("2-CoSimulation-fmpy-1e-09", "3-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @VERSIONS
 def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, master, bound):
@@ -123,6 +132,9 @@ def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, mast
     np.testing.assert_allclose(samples, 0.8 ** np.arange(21), rtol=0, atol=bound)
 
 
+@pytest.mark.slow_rows(
+    "7-CoSimulation-fmpy-1e-09", "10-CoSimulation-fmpy-1e-09", "23-CoSimulation-fmpy-1e-09"
+)
 @EACH_RUN
 @pytest.mark.parametrize("period", [7, 10, 23])
 def test_samples_at_output_times_are_in_their_rows(exported, period, interface, master, bound):
@@ -130,6 +142,7 @@ def test_samples_at_output_times_are_in_their_rows(exported, period, interface, 
     np.testing.assert_array_equal(run["n"], 1 + np.arange(301) // period)
 
 
+@pytest.mark.slow_rows("0.3")
 @pytest.mark.parametrize("start", [0.3, 3 * 0.1, 0.6, 0.65])  # 3 * 0.1 is larger than 0.3
 def test_samples_at_the_start_are_met_whatever_rounding_makes_of_it(exported, start):
     options = {"start_time": start, "stop_time": start + 0.25, "outputs": ["n"]}
@@ -140,6 +153,7 @@ def test_samples_at_the_start_are_met_whatever_rounding_makes_of_it(exported, st
         assert [run["n"][0], run["n"][-1]] == [first, first + 2 + (start == 0.65)]
 
 
+@pytest.mark.slow_rows("erk")
 @pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
 def test_samples_at_communication_points_are_met_by_other_solvers(exported, solver):
     run = simulate(exported("counting", 3, 7, solver=solver), "CoSimulation", "c")
@@ -158,6 +172,7 @@ def test_files_that_are_open_at_once_log_their_own_events(exported):
     assert again == [impacts, impacts]
 
 
+@pytest.mark.slow_rows("2-CoSimulation-fmpy-1e-09", "3-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @VERSIONS
 def test_what_happens_at_the_stop_time_happens(exported, fmi, interface, master, bound):
@@ -167,6 +182,7 @@ def test_what_happens_at_the_stop_time_happens(exported, fmi, interface, master,
     assert (run["n"][-2], run["x"][-2]) == (15, 0)
 
 
+@pytest.mark.slow_rows("False-CoSimulation-fmpy-1e-09", "True-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @pytest.mark.parametrize("branches", [False, True])
 def test_dry_friction_stops_a_block_and_holds_it(tmp_path, branches, interface, master, bound):
@@ -178,6 +194,7 @@ def test_dry_friction_stops_a_block_and_holds_it(tmp_path, branches, interface, 
     assert np.abs(run["friction"][standing]).max() < 1e-9
 
 
+@pytest.mark.slow_rows("fmu-me")
 @pytest.mark.parametrize("backend", ["fmu-me", "fmu-cs"])
 def test_a_stop_of_the_model_completes_the_run_of_a_backend(backend):
     run = execute(requested(event_models.stopping()), Backend(backend))
@@ -185,6 +202,7 @@ def test_a_stop_of_the_model_completes_the_run_of_a_backend(backend):
     assert (run.time[-1], run.final["x"]) == pytest.approx((0.777, 0.777), abs=1e-9)
 
 
+@pytest.mark.slow_rows("2-CoSimulation-fmpy-1e-09", "3-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @VERSIONS
 def test_a_stop_of_the_model_ends_the_run_of_a_file(exported, fmi, interface, master, bound):
@@ -212,11 +230,13 @@ def test_impacts_that_come_ever_faster_are_an_error(tmp_path, interface, master,
         simulate(path, interface, master)
 
 
+@pytest.mark.slow
 def test_a_solver_that_cannot_slide_says_so(exported):
     with pytest.raises(FmuError, match=r"slides along 0 at 0\.75 s.*solver dop853"):
         simulate(exported("block", solver="rosenbrock"), "CoSimulation", "c")
 
 
+@pytest.mark.slow
 @VERSIONS
 def test_every_kind_of_event_agrees_with_native_simulation(exported, fmi):
     native = cosim.simulate(event_models.everything(), solver="rosenbrock")
@@ -226,6 +246,7 @@ def test_every_kind_of_event_agrees_with_native_simulation(exported, fmi):
         assert run.final["x"] == pytest.approx(native.final["x"], abs=1e-6)
 
 
+@pytest.mark.slow_rows("everything-3")
 @VERSIONS
 @pytest.mark.parametrize("name", ["ball", "everything", "sampled"])
 def test_files_with_events_are_valid(exported, name, fmi):
@@ -243,6 +264,7 @@ def test_a_variable_that_is_named_like_a_mode_is_rejected(tmp_path):
         cosim.export_fmu(model.freeze(), tmp_path / "taken.fmu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
 def test_random_models_are_those_of_native_simulation(seed, tmp_path):
     dae = random_model(seed, algebraic=seed % 3 == 0)
@@ -258,6 +280,7 @@ def test_random_models_are_those_of_native_simulation(seed, tmp_path):
         np.testing.assert_allclose(run[names].values, native, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 13))
 def test_events_of_random_models_are_those_of_native_simulation(seed, tmp_path):
     """Samples often fall on communication points, but for rounding."""
@@ -276,6 +299,12 @@ def test_events_of_random_models_are_those_of_native_simulation(seed, tmp_path):
         assert np.abs(run[names].values - native[names].values)[apart].max() < 1e-4
 
 
+@pytest.mark.slow_rows(
+    "CoSimulation-fmpy-1e-09-2",
+    "CoSimulation-fmpy-1e-09-3",
+    "CoSimulation-c-1e-09-3",
+    "ModelExchange-fmpy-2e-07-3",
+)
 @VERSIONS
 @EACH_RUN
 def test_events_are_those_of_native_simulation(exported, fmi, interface, master, bound):

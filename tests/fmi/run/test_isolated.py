@@ -48,6 +48,7 @@ def simulate(path, behavior, *words):
     return command("simulate", path, "--trust", "--stop-time", "1", *step, *words)
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_crash_is_one_sentence_with_the_signal(bad):
     done = simulate(bad, "crash")
@@ -63,6 +64,7 @@ def test_an_exit_is_told(bad):
         simulate_apart(bad, output_interval=BAD_STEPS["exit"], stop_time=1)
 
 
+@pytest.mark.slow
 def test_a_hang_ends_at_the_time_limit(bad):
     began = time.monotonic()
     done = simulate(bad, "hang", "--timeout", "2")
@@ -71,6 +73,7 @@ def test_a_hang_ends_at_the_time_limit(bad):
     assert done.stderr == f"FmuError: {bad}: the FMU did not end within 2 s and was stopped\n"
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_a_hang_ends_with_the_command(bad, kind):

@@ -21,6 +21,10 @@ def bad(tmp_path_factory):
     return hostile(hostile_binary(tmp_path_factory.mktemp("hostile")))
 
 
+@pytest.mark.slow_rows(
+    "memory=1.5e9-fmi2DoStep memory-SIGABRT|memory",
+    "cpu=2-fmi2DoStep hang-time on the processor|SIGKILL",
+)
 @pytest.mark.parametrize(
     ("limit", "fault", "told"),
     [

@@ -51,6 +51,7 @@ def growth():
     return model.freeze()
 
 
+@pytest.mark.quick_rows("bar_on_frame")
 @pytest.mark.parametrize(
     "name",
     ["bicycle", "bicycle/book", "disk_two_bars", "double_pendulum", "bar_on_frame", "crank_shaft"],
@@ -77,6 +78,7 @@ def test_lanes_follow_a_closed_form_with_parameters_of_their_own():
     assert many.complete.all()
 
 
+@pytest.mark.slow
 def test_a_run_has_the_same_bits_whatever_runs_beside_it(bicycle, reference):
     settings = {"output_times": [5.0, 20.0], "relative_tolerance": 1e-6}
     shuffled = np.random.default_rng(3).permutation(len(ROLLS))
@@ -94,6 +96,7 @@ def test_a_run_has_the_same_bits_whatever_runs_beside_it(bicycle, reference):
     np.testing.assert_array_equal(np.concatenate(pieces), reference.values)
 
 
+@pytest.mark.slow
 def test_numbers_of_lanes_agree_to_rounding(bicycle, reference):
     for lanes in (1, 4):
         other = simulate_many(
@@ -107,6 +110,7 @@ def test_numbers_of_lanes_agree_to_rounding(bicycle, reference):
         np.testing.assert_allclose(other.values, reference.values, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_output_times_do_not_change_the_steps(bicycle, reference):
     often = simulate_many(
         bicycle, {"phi_dot": ROLLS[:3]}, stop_time=20.0, relative_tolerance=1e-6, outputs=["phi"]

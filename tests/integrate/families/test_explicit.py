@@ -160,6 +160,7 @@ def test_error_between_the_steps_is_that_of_the_steps():
     assert error.max() < 1e-7  # 100 tolerances; measured 4e-8, and 3e-8 at every 50th output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pair",
     [("bicycle/multipliers", "bicycle/independent"),

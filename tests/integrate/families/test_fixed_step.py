@@ -61,6 +61,7 @@ def test_error_falls_with_the_order_over_four_halvings(name, solver, order):
     assert found.steps[0] / found.steps[-1] == pytest.approx(16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bicycle/independent", "disk_two_bars/reduced"])
 def test_order_8_ends_at_rounding_after_three_halvings_where_steps_must_be_small(name):
     """From the stability limit to rounding there are no four halvings of order 8 or more."""
@@ -69,6 +70,7 @@ def test_order_8_ends_at_rounding_after_three_halvings_where_steps_must_be_small
     assert 8 < found.observed < 10  # measured 9.3, 9.5
 
 
+@pytest.mark.slow_rows("bicycle-5.0-30", "double_pendulum-5.0-64")
 @pytest.mark.skipif(not has_extended_precision(), reason="long double has no more bits here")
 @pytest.mark.parametrize(
     ("name", "stop", "steps"),

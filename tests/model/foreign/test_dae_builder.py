@@ -50,6 +50,7 @@ QUICK = (
 )
 
 
+@pytest.mark.slow_rows("switch")
 @pytest.mark.parametrize("name", sampled(ACCEPTED, QUICK))
 def test_accepted_model_is_right_in_an_fmu(name, tmp_path):
     builder, exact = ACCEPTED[name]
@@ -63,6 +64,7 @@ def test_accepted_model_is_right_in_an_fmu(name, tmp_path):
         assert run[variable][-1] == pytest.approx(value, abs=1e-6)
 
 
+@pytest.mark.slow_rows("circle")
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused_model_is_refused_in_one_sentence(name):
     builder, reason = REFUSED[name]

@@ -31,6 +31,7 @@ def mapping(kind):
     return laws | {"transition": transition}
 
 
+@pytest.mark.slow_rows("SX")
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 def test_zero_and_transition_of_an_integrator_are_events(kind):
     dae = cosim.from_casadi(mapping(kind), {"x": [1.0, 0.0]}, stop_time=2.0)

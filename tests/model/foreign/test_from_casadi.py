@@ -25,6 +25,7 @@ def final(dae, name: str = "x", **options) -> float:
     return cosim.simulate(dae, **(END | options))[name][-1]
 
 
+@pytest.mark.slow_rows("SX")
 @KINDS
 def test_oscillator_is_its_closed_form_and_takes_both_backends(kind, tmp_path):
     system = oscillator(kind)
@@ -79,6 +80,7 @@ def test_entries_of_vectors_and_matrices_have_names(kind):
     assert [run[f"M_{i}_{j}"][0] for i in (1, 2) for j in (1, 2, 3)] == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 @KINDS
 def test_time_inputs_and_algebraic_unknowns_have_their_place(kind):
     t, x, z, u = (kind.sym(n) for n in "txzu")

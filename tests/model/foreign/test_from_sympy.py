@@ -52,6 +52,7 @@ def bicycle():
     return cosim.from_sympy(kane, values, {"u3": 4.6 / 0.3, "u2": 0.5}, name="whipple")
 
 
+@pytest.mark.slow_rows("rosenbrock-kane", "rosenbrock-lagrange", "rosenbrock-system by lagrange")
 @pytest.mark.parametrize(
     ("form", "names"),
     [
@@ -72,6 +73,7 @@ def test_pendulum_is_its_closed_form(form, names, solver):
     np.testing.assert_allclose(run["q"], swing(run.time), rtol=0, atol=bound)  # 6e-9; rk4: 6e-8
 
 
+@pytest.mark.slow_rows("rosenbrock")
 @pytest.mark.parametrize("solver", ["idas", "rosenbrock", "dop853"])
 def test_multiplier_of_a_pendulum_is_its_rod(solver):
     x, y, lam1 = dynamicsymbols("x y lam1")
@@ -115,6 +117,7 @@ def test_auxiliary_speeds_give_the_contact_force():
     np.testing.assert_allclose(run["fz"][5:-5], lift[5:-5], rtol=0, atol=2e-4)  # measured 2e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [KanesMethod, LagrangesMethod])
 def test_four_bars_stay_closed_and_keep_their_energy(method):
     dae = four_bar(method)
@@ -125,6 +128,7 @@ def test_four_bars_stay_closed_and_keep_their_energy(method):
     assert np.abs([run["gap_x"], run["gap_y"]]).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_four_bars_by_both_methods_agree():
     kane, lagrange = (
         cosim.simulate(four_bar(m), stop_time=5.0, relative_tolerance=1e-10, solver="dop853")
@@ -134,6 +138,7 @@ def test_four_bars_by_both_methods_agree():
         np.testing.assert_allclose(kane[one], lagrange[other], rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [KanesMethod, LagrangesMethod])
 def test_fmu_is_the_native_run(method, tmp_path):
     loads = ("lam1", "lam2", "q1_dot_dot", "q2_dot_dot", "q3_dot_dot")
@@ -205,6 +210,7 @@ def test_all_functions_that_casadi_has_are_printed():
 SPEEDS = np.arange(0.0, 11.0, 2.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("v", SPEEDS)
 def test_bicycle_has_the_published_matrices_and_our_eigenvalues(bicycle, v):
     starts = {"u3": v / 0.3, "u2": 0.0}
@@ -231,6 +237,7 @@ def test_bicycle_has_the_published_matrices_and_our_eigenvalues(bicycle, v):
     np.testing.assert_allclose(*eigenvalues, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_bicycle_weaves_as_ours(bicycle):
     options = {"stop_time": 2.0, "relative_tolerance": 1e-11}
     run = cosim.simulate(bicycle, **options)
@@ -241,6 +248,7 @@ def test_bicycle_weaves_as_ours(bicycle):
         np.testing.assert_allclose(run[name], sign * ours[other], rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_bicycle_takes_a_bounded_number_of_operations(bicycle):
     """As C code it takes 1.2 to 1.4 times as long as ours."""
     assert bicycle.operations() < 1.5 * cosim.load("bicycle").operations()  # measured 1.46
@@ -262,6 +270,7 @@ def compared(monkeypatch, kane, values=PENDULUM, starts=None):
 DISC = {"m": 2.0, "g": 9.81, "r": 0.5}
 
 
+@pytest.mark.slow_rows("four bars", "bicycle")
 @pytest.mark.parametrize(
     "form",
     [
@@ -314,6 +323,7 @@ def test_contradictory_velocities_leave_the_equations_to_sympy(monkeypatch):
     assert compared(monkeypatch, rod(rate=2), values) == [False]
 
 
+@pytest.mark.slow
 def test_example_is_the_disc_of_the_documentation():
     path = Path(__file__).parents[3] / "examples" / "rolling_disc.py"
     kane, _ = sympy_models.rolling_disc(forces=True)

@@ -32,6 +32,7 @@ def period_at_amplitude(angle: float) -> float:
     return 2 * np.pi / np.sqrt(9.81) / a
 
 
+@pytest.mark.slow
 def test_reduced_index_3_pendulum_swings_with_its_period(tmp_path):
     dae = cosim.from_casadi(pendulum(), {"x": np.sin(1.0), "y": -np.cos(1.0), "L": 1.0})
     period = period_at_amplitude(1.0)

@@ -38,6 +38,7 @@ def test_matrix_operations_are_written_out(law, expected):
     )
 
 
+@pytest.mark.slow_rows("linear")
 @pytest.mark.parametrize("plugin", ["linear", "bspline"])
 def test_interpolant_is_integrated_and_exported(plugin, tmp_path):
     place = np.linspace(0, 2, 9)
@@ -60,6 +61,7 @@ def large_system(x):
     return ca.solve(ca.DM(SHIFT) + ca.diag(ca.repmat(x[0], 30, 1)), ca.repmat(x[1], 30, 1))[3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "expected"),
     [

@@ -90,6 +90,7 @@ def system(kind) -> dict:
     return {"x": x, "u": u, "ode": ca.conditional(ca.log(u), cases, -x, True)}
 
 
+@pytest.mark.slow_rows("MX")
 @pytest.mark.parametrize("kind", [SX, MX])
 def test_short_circuit_on_both_backends(kind, tmp_path):
     system_ = system(kind)

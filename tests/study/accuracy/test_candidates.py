@@ -12,6 +12,7 @@ from cosim.study.accuracy.candidates import TOLERANCES, measured_candidates
 from cosim.study.accuracy.choice import report
 
 
+@pytest.mark.slow
 def test_predicted_errors_hold_for_the_candidates(dae):
     """At the model's own values, measured errors are those from the closed form."""
     own = {"k": K, "x": 1.0, "v": 0.5}
@@ -31,6 +32,7 @@ def stored(monkeypatch, tmp_path):
     return tmp_path / "candidates"
 
 
+@pytest.mark.slow
 def test_other_values_of_a_scene_need_no_new_candidates(stored):
     small = cosim.requested(decay("candidates_of_decay"), accuracy=1e-6)
     for rate in (0.5, 0.7, 3.0):
@@ -39,6 +41,7 @@ def test_other_values_of_a_scene_need_no_new_candidates(stored):
     assert len([*stored.iterdir()]) == 1
 
 
+@pytest.mark.slow
 def test_candidates_are_measured_once_and_again_if_their_file_is_damaged(stored):
     dae = decay("damaged_front")
     first = measured_candidates(dae, compiled=True)
@@ -52,6 +55,7 @@ def test_candidates_are_measured_once_and_again_if_their_file_is_damaged(stored)
     assert measured_candidates(dae, compiled=True) == again  # whole again
 
 
+@pytest.mark.slow
 def test_reference_of_one_output_serves_the_accuracy_of_another():
     """Both need the same states, and so the same reduced model."""
     dae = oscillator().dae
@@ -60,6 +64,7 @@ def test_reference_of_one_output_serves_the_accuracy_of_another():
     assert simulate(cosim.reduce(dae, ["x", "v"]), accuracy=1e-6).stats["error_estimate"] <= 1e-6
 
 
+@pytest.mark.slow
 def test_solver_with_too_many_calls_is_not_run_at_tighter_tolerances(monkeypatch):
     monkeypatch.setattr("cosim.study.accuracy.candidates.MOST_CALLS", 300)
     every = measured_candidates(decay("calls"), compiled=True).every
@@ -68,12 +73,14 @@ def test_solver_with_too_many_calls_is_not_run_at_tighter_tolerances(monkeypatch
     assert calls[-2] <= 300 < calls[-1]
 
 
+@pytest.mark.slow
 def test_candidates_are_measured_without_a_cache(monkeypatch, tmp_path):
     (tmp_path / "candidates").write_text("a file where the folder should be")
     monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
     assert simulate(decay(), accuracy=1e-6).stats["error_estimate"] <= 1e-6
 
 
+@pytest.mark.slow
 def test_interpreted_equations_have_their_own_candidates():
     run = simulate(oscillator().dae, start_values=OTHER, accuracy=1e-6, compiled=False)
     assert not run.stats["compiled"]

@@ -75,6 +75,7 @@ class Runs:
             return choice.accurate_run(request)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 def test_accuracy_is_reached_far_from_the_measured_values(dae, accuracy):
     run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
@@ -82,6 +83,7 @@ def test_accuracy_is_reached_far_from_the_measured_values(dae, accuracy):
     assert run.stats["error_estimate"] <= accuracy
 
 
+@pytest.mark.quick_rows("dae-1e-06", "dae-1e-09")
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 def test_estimate_is_the_error_of_the_configuration_that_was_chosen(dae, accuracy):
     run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
@@ -102,6 +104,7 @@ def test_returned_run_is_the_more_accurate_of_the_two(accuracy):
     assert shift == pytest.approx(min(known[asked] for asked in runs.requested[-2:]), abs=1e-15)
 
 
+@pytest.mark.slow
 def test_chaotic_motion_is_not_accepted_as_a_result():
     with pytest.raises(
         SolverError, match=r"1e-06 is not reached: .* and .* are .* apart"
@@ -113,6 +116,7 @@ def test_chaotic_motion_is_not_accepted_as_a_result():
     assert partial.stats["error_estimate"] > 1e-6
 
 
+@pytest.mark.slow
 def test_run_that_is_more_sensitive_than_the_models_own_gets_a_tighter_tolerance():
     """Lorenz's equations multiply an error at 1 s, the front's span, by about 1e5 until 15 s."""
     span = {"stop_time": 15.0, "output_interval": 0.15}
@@ -131,6 +135,7 @@ def test_tolerance_without_effect_is_not_accepted_as_convergence():
     assert all(a[0] != b[0] for a, b in zip(runs.requested, runs.requested[1:], strict=False))
 
 
+@pytest.mark.slow
 def test_goal_is_reached_although_another_candidate_seems_cheapest(monkeypatch):
     """Errors a thousand times those of the front, whose times are drawn at random."""
     known = {configuration: 1e3 * error for configuration, error in known_errors().items()}
@@ -241,6 +246,7 @@ def test_accuracy_beyond_double_precision_is_rejected_with_the_smallest_possible
         simulate(dae, accuracy=smallest, outputs=["x"])
 
 
+@pytest.mark.slow
 def test_scene_has_an_accuracy_and_the_command_line_overrides_it(tmp_path, capsys):
     scene = tmp_path / "bar.toml"
     text = 'model = "bar_on_frame"\noutputs = ["theta"]\n[run]\nstop_time = 0.1\n'
@@ -276,6 +282,7 @@ def test_invalid_goal_of_a_scene_is_rejected_with_its_line(tmp_path, lines, mess
         cosim.read_scene(scene)
 
 
+@pytest.mark.slow
 def test_missed_accuracy_exits_with_1_and_the_labeled_run(tmp_path, capsys):
     target = tmp_path / "out.csv"
     run = ["simulate", "bar_on_frame", "--stop-time", "0.1", "--outputs", "theta"]
@@ -296,6 +303,7 @@ def no_pulse_is_looked_for(monkeypatch):
     monkeypatch.setattr(events, "attentive", lambda attempt, grid, *_: attempt(grid, np.empty(0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [0.004, 0.0005])
 def test_push_is_found_and_the_estimate_holds(length):
     run = simulate(resting_spring(), inputs={"force": lambda t: pushed(t, length)}, accuracy=1e-6)
@@ -314,6 +322,7 @@ def assert_swings(run, length):
     np.testing.assert_allclose(run["x"][late], exact[late], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 @pytest.mark.parametrize("goal", [{"accuracy": 1e-4}, {"budget": 1.0}])
 def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
@@ -324,6 +333,7 @@ def test_exact_agreement_of_runs_that_missed_a_push_is_rejected(goal):
         simulate(resting_spring(), inputs=inputs, **goal)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 def test_check_sees_a_push_that_the_checked_run_missed():
     """The checking run evaluates the equations inside every output interval.
@@ -337,6 +347,7 @@ def test_check_sees_a_push_that_the_checked_run_missed():
         assert_swings(run, 0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pulse_is_looked_for")
 def test_exact_agreement_is_rejected_where_equations_contain_time():
     """The pulse is shorter than the places at which the equations are looked at are apart."""
@@ -347,6 +358,7 @@ def test_exact_agreement_is_rejected_where_equations_contain_time():
         simulate(model.freeze(), accuracy=1e-4)
 
 
+@pytest.mark.slow
 def test_exact_agreement_is_confirmed_where_nothing_changes():
     still = cosim.InputSeries(("force",), [0.0, 100.0], [[0.0], [0.0]])
     run = simulate(resting_spring(), inputs=still, accuracy=1e-4)

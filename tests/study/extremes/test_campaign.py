@@ -40,6 +40,9 @@ def test_catalogue_has_at_least_300_different_cases():
     assert len({(case.family, case.model, case.name) for case in CASES}) == len(CASES) >= 300
 
 
+@pytest.mark.quick_rows(
+    "bar: equilibrium", "bicycle: near fall", "crank: mass", "crank: spin", "tolerances"
+)
 @pytest.mark.sample_of("test_no_case_of_a_family_has_a_wrong_outcome")
 @pytest.mark.parametrize("family", FAMILIES)
 def test_no_case_of_a_sample_has_a_wrong_outcome(family):
@@ -57,6 +60,7 @@ def test_no_case_of_a_family_has_a_wrong_outcome(family):
     assert [f.row() for f in findings if f.verdict.outcome in WRONG] == []
 
 
+@pytest.mark.slow
 def test_cases_of_the_same_values_share_their_reference(monkeypatch):
     name = "b = 0.02 ft.lbf.s/rad"
     solved = [find("bar: damping", f"{name}, {each}", "bar_on_frame/reduced") for each in EXPLICIT]
@@ -106,6 +110,7 @@ def test_initial_state_without_algebraic_solution_is_rejected():
     assert "no solution at the start" in verdict.reason
 
 
+@pytest.mark.slow
 def test_wrong_result_without_a_message_is_silent():
     right = find("bar: damping", "b = 0.02 ft.lbf.s/rad, cvodes", "bar_on_frame/reduced")
     wrong = replace(right, references=(Counterpart("bar_on_frame/reduced", "rk4"),), bound=1e-9)
@@ -118,6 +123,7 @@ def test_case_without_a_reference_is_unverified():
     assert assess(replace(right, references=())).outcome == "unverified"
 
 
+@pytest.mark.slow
 def test_hang_and_crash_of_a_child_are_counted_and_the_next_case_runs(tmp_path):
     file = tmp_path / "model.py"
     file.write_text("import os, time\ndef hangs(): time.sleep(600)\ndef dies(): os._exit(3)\n")
@@ -221,6 +227,7 @@ def test_map_shows_each_outcome_in_its_own_color(tmp_path):
     assert len(np.unique((pixels * 8).astype(int), axis=0)) > len(OUTCOMES)
 
 
+@pytest.mark.quick_rows("bicycle: speed-speed = 0 m/s, idas-bicycle/multipliers")
 @pytest.mark.parametrize(
     ("family", "name", "model"),
     [

@@ -55,6 +55,7 @@ def test_exact_record_gives_the_values_that_made_it():
     assert not found.unidentified
 
 
+@pytest.mark.slow
 def test_values_of_many_records_have_the_covariance_of_the_cramer_rao_bound():
     found = [fit(DECAY, noisy(seed), {"k": 1.0, "x": 1.0}) for seed in range(20)]
     bound = linear_theory()
@@ -72,6 +73,7 @@ def test_values_of_many_records_have_the_covariance_of_the_cramer_rao_bound():
     assert np.mean(inside) >= 0.85  # of 95 %
 
 
+@pytest.mark.slow
 def test_restitution_of_a_bouncing_ball_is_found_through_its_impacts():
     model = cosim.Model("ball", stop_time=2.0)
     h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")

@@ -53,6 +53,7 @@ def test_error_of_an_eigenvalue_covers_its_true_error():
         assert np.all(apart <= 10 * np.linalg.cond(turn) * found.errors[order])
 
 
+@pytest.mark.quick_rows("values2")
 @pytest.mark.parametrize("values", [np.linspace(-0.95, 1, 20), np.linspace(-1, 1, 21), [-1, 0.7]])
 def test_eigenvalues_mu_and_minus_mu_cross_at_0(values):
     sweep = cosim.linearize(

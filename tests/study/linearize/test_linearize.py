@@ -32,6 +32,7 @@ def test_unstable_equilibrium_of_the_bar_has_the_eigenvalues_of_the_closed_form(
     np.testing.assert_allclose(sorted(found, key=np.real), sorted(roots), rtol=1e-12)
 
 
+@pytest.mark.slow_rows("multipliers")
 @pytest.mark.parametrize("formulation", ["independent", "multipliers"])
 def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
     dae = cosim.load(f"bicycle/{formulation}")
@@ -50,6 +51,7 @@ def test_weave_and_capsize_of_the_bicycle_are_the_published_speeds(formulation):
     )
 
 
+@pytest.mark.slow_rows("bicycle/multipliers-3")
 @pytest.mark.parametrize(("model", "fmi"), [("bicycle/independent", 2), ("bicycle/multipliers", 3)])
 def test_fmu_has_the_eigenvalues_of_its_model(tmp_path, model, fmi):
     dae = cosim.load(model)
@@ -163,6 +165,7 @@ def test_command_does_not_run_an_untrusted_fmu(tmp_path, monkeypatch):
     assert main(["linearize", str(path), "--trust", "--outputs", "T"]) == 0
 
 
+@pytest.mark.slow
 def test_command_shows_modes_and_crossings(tmp_path, capsys):
     assert main(["linearize", "crank_shaft", "--outputs", "T"]) == 0
     assert "crank_shaft/driven at its initial state" in capsys.readouterr().out
@@ -184,6 +187,7 @@ def test_command_rejects_invalid_options(words):
     assert main(["linearize", "crank_shaft", *words]) == 2
 
 
+@pytest.mark.slow
 def test_crossing_at_an_unsteady_state_is_no_critical_speed():
     along = {"along": {"thetaR_dot": [-13.0, -15.0]}, "outputs": ["speed"]}
     with pytest.raises(InitialConditionError, match=r"not steady: .* not for a limit of stability"):

@@ -52,6 +52,7 @@ def test_equilibrium_of_a_sampled_loop_is_that_of_the_loop():
     assert found.steadiness == "periodic"
 
 
+@pytest.mark.slow
 def test_limit_gain_of_the_sampled_loop_is_where_its_factor_is_minus_1():
     sweep = linearize(sampled(), at="equilibrium", along={"gain": np.linspace(1, 8, 4)})
     (crossing,) = sweep.crossings
@@ -103,6 +104,7 @@ def test_mathieu_equation_is_unstable_in_its_tongue_and_stable_at_its_border():
     assert crossing.value == pytest.approx(border, abs=1e-7)
 
 
+@pytest.mark.quick_rows("<lambda>-6.283185307179586_0", "<lambda>-18.84955592153876")
 @pytest.mark.parametrize(
     ("law", "period"),
     [

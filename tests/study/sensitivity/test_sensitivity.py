@@ -23,6 +23,7 @@ from cosim.study.sensitivity.sensitivity import (
 SHORT = {"stop_time": 1.0, "output_interval": 0.1}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["driven", "multipliers"])
 def test_derivative_of_the_crank_angle_by_alpha_is_half_the_square_of_time(formulation):
     dae = cosim.load(f"crank_shaft/{formulation}")
@@ -37,6 +38,7 @@ def test_derivative_of_the_crank_angle_by_alpha_is_half_the_square_of_time(formu
     assert found.check.scaled < 1e-9
 
 
+@pytest.mark.slow_rows("False-erk", "False-rosenbrock", "True-rosenbrock")
 @pytest.mark.parametrize(
     ("algebraic", "solver"),
     [
@@ -95,6 +97,7 @@ def test_variational_equations_do_not_change_the_run_of_the_model():
     assert len(both.algebraics) == 2 * len(dae.algebraics)
 
 
+@pytest.mark.slow
 def test_constant_input_is_accepted_and_an_input_series_is_rejected():
     dae = cosim.load("bar_on_frame/reduced")
     found = sensitivity(dae, outputs=["theta"], with_respect_to=["T2"], **SHORT)
@@ -104,6 +107,7 @@ def test_constant_input_is_accepted_and_an_input_series_is_rejected():
         sensitivity(dae, outputs=["theta"], with_respect_to=["T2"], inputs=series, **SHORT)
 
 
+@pytest.mark.slow
 def test_derivative_by_a_parameter_without_influence_is_zero():
     dae = cosim.load("bar_on_frame/reduced")
     found = sensitivity(dae, outputs=["Omega"], with_respect_to=["m", "Omega_dot"], **SHORT)
@@ -120,6 +124,7 @@ def test_disagreement_of_the_two_methods_is_an_error(monkeypatch):
         sensitivity(cosim.load("crank_shaft"), outputs=["phi"], with_respect_to=["alpha"], **SHORT)
 
 
+@pytest.mark.slow
 def test_parameter_at_its_bound_is_varied_to_one_side():
     dae = cosim.load("bar_on_frame/reduced")  # frame_inertia is 1, its largest value
     found = sensitivity(dae, outputs=["M_phi"], with_respect_to=["frame_inertia"], **SHORT)
@@ -173,6 +178,7 @@ def test_command_writes_table_file_and_figure(tmp_path, capsys):
     assert {row["by"] for row in facts["derivatives"]} == {"alpha", "omega"}
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_relay_jump_at_its_events():
     model = Model("relay", stop_time=5.0)
     x = model.state("x", "1", 0.0, "level")
@@ -212,6 +218,7 @@ def resting_blocks():
     return model.freeze()
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "erk"])
 def test_friction_at_rest_takes_up_a_small_speed_at_once(solver):
     dae, by = resting_blocks(), ["v_1", "v_2", "x_1", "force"]
@@ -228,6 +235,7 @@ def test_derivatives_of_friction_at_rest_are_rejected():
         sensitivity(resting_blocks(), outputs=["friction_1"], with_respect_to=["x_1"], check=False)
 
 
+@pytest.mark.slow
 def test_finite_differences_at_few_times_are_no_check():
     model = Model("counter", stop_time=1.0)
     x, n = model.state("x", "m", 0.0, "place"), model.discrete("n", "1", 0.0, "number")
@@ -237,6 +245,7 @@ def test_finite_differences_at_few_times_are_no_check():
         sensitivity(model.freeze(), outputs=["n"], with_respect_to=["x"])
 
 
+@pytest.mark.slow
 def test_run_that_a_stop_ends_is_differentiated_up_to_it():
     model = Model("wall", stop_time=2.0, output_interval=0.05)
     x, speed = model.state("x", "m", 0.0, "place"), model.parameter("speed", "m/s", 1.0, "speed")
@@ -248,6 +257,7 @@ def test_run_that_a_stop_ends_is_differentiated_up_to_it():
     assert found.check is not None
 
 
+@pytest.mark.slow_rows("<lambda>")
 @pytest.mark.parametrize("extreme", [ca.fmax, lambda a, b: -ca.fmin(-a, -b)])
 def test_kinks_of_nonlinear_algebraic_equations_are_differentiated(extreme):
     model = Model("buffer", stop_time=2.0, output_interval=0.05)
@@ -260,6 +270,7 @@ def test_kinks_of_nonlinear_algebraic_equations_are_differentiated(extreme):
     assert found["x", "k"][-1] == pytest.approx(0.065553, abs=1e-6)
 
 
+@pytest.mark.slow_rows("given0")
 @pytest.mark.parametrize("given", [{}, {"speed": 5.0, "steer_torque": 0.1}])
 def test_derivative_by_the_speed_of_the_bicycle_is_that_of_runs_with_other_speeds(given):
     options = {"outputs": ["phi"], "stop_time": 1.0, "output_interval": 0.5}

@@ -59,6 +59,7 @@ def statistics_in(order, folder=None):
     return Store.reopened(layout, folder) if folder else store
 
 
+@pytest.mark.slow_rows("True")
 @pytest.mark.parametrize("stored", [False, True])
 def test_statistics_have_the_same_bits_in_whatever_order_blocks_arrive(stored, tmp_path):
     if stored:

@@ -87,6 +87,7 @@ def take_the_neighbors(file):
 DAMAGES = [os.unlink, flip_a_bit, cut, empty, take_the_neighbors]
 
 
+@pytest.mark.slow_rows("status/c/1-unlink")
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize(
     "array", ["status/c/1", "reason/c/1", "sum/c/1", "a/c/1/0", "b/c/1/0", "blocks/mean/c/1/0/0"]

@@ -82,6 +82,7 @@ def client():
         yield found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, "cvodes"])
 def test_bits_depend_neither_on_processes_nor_on_blocks_nor_on_order(growth, client, solver):
     def run(rates, **how):
@@ -96,6 +97,7 @@ def test_bits_depend_neither_on_processes_nor_on_blocks_nor_on_order(growth, cli
     np.testing.assert_array_equal(other["x_final"], here["x_final"][shuffled])
 
 
+@pytest.mark.slow
 def test_a_dae_and_a_scene_are_swept_like_a_model(tmp_path, growth, client):
     dae = cosim.load(growth)
     by_name = cosim.sweep(growth, {"rate": RATES[:5]}, workers=0)
@@ -110,6 +112,7 @@ def test_a_dae_and_a_scene_are_swept_like_a_model(tmp_path, growth, client):
     np.testing.assert_allclose(found["phi_final"], 0.25 + 0.5 * np.array([1, 2]) + 1.25)
 
 
+@pytest.mark.slow
 def test_a_function_adds_numbers_and_its_exceptions_are_rows(growth, client):
     def function(run):
         if run["x"][-1] > 5:
@@ -134,6 +137,7 @@ def files_in(store, *names):
     }
 
 
+@pytest.mark.slow
 def test_a_store_resumes_without_repeating_finished_blocks(growth, tmp_path):
     pytest.importorskip("zarr")
     xarray = pytest.importorskip("xarray")
@@ -162,6 +166,7 @@ def test_a_store_resumes_without_repeating_finished_blocks(growth, tmp_path):
     assert len(rows) == len(RATES) + 1
 
 
+@pytest.mark.slow
 def test_a_sweep_in_memory_is_the_same_dataset_as_its_store(growth, tmp_path):
     pytest.importorskip("zarr")
     pytest.importorskip("xarray")
@@ -205,6 +210,7 @@ def killer(tmp_path, once, always):
     return space["function"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 def test_killed_workers_lose_nothing_and_a_deadly_run_is_a_row(growth, tmp_path, client):
     harmless, deadly = killer(tmp_path, [], []), killer(tmp_path, RATES[[3, 20, 41]], [RATES[30]])
@@ -238,6 +244,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT], ids=["killed", "Ctrl-C"])
 def test_a_stopped_sweep_continues_with_the_missing_blocks(growth, tmp_path, blow):
@@ -415,6 +422,7 @@ def test_a_script_without_guard_uses_processes_and_loses_only_its_deadly_run(tmp
     assert (tmp_path / "deaths").read_text() == "xxxx"  # twice in its block, twice alone
 
 
+@pytest.mark.slow
 def test_sweep_prints_as_a_summary():
     found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, stop_time=0.1, workers=0)
     head, _, *rows = repr(found).splitlines()

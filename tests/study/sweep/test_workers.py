@@ -25,6 +25,7 @@ def sweep_in(folder):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cosim", "numpy", "pickle", "casadi_models"])
 def test_module_of_the_current_folder_shadows_nothing(tmp_path, name):
     (tmp_path / f"{name}.py").write_text("raise SystemExit('shadowed')\n")
@@ -33,6 +34,7 @@ def test_module_of_the_current_folder_shadows_nothing(tmp_path, name):
     assert done.stdout == "[0.15, 0.25, 0.35]\n"  # omega t + 5 t^2
 
 
+@pytest.mark.slow
 def test_a_function_whose_module_is_missing_fails_its_runs_with_the_module_as_reason(
     tmp_path, monkeypatch
 ):

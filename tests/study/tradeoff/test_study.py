@@ -62,6 +62,7 @@ def measured(cost, error):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_notebook_shows_the_picture_and_the_pareto_front(study):
     shown = study._repr_html_()
     content = base64.b64decode(re.search(r'src="data:image/png;base64,([^"]+)"', shown)[1])
@@ -143,6 +144,7 @@ def test_fit_leaves_out_errors_near_that_of_the_reference():
     assert fit.points == 7  # 3e-2 to 3e-8, above ten times the floor and below 0.1
 
 
+@pytest.mark.slow
 def test_what_the_equations_conserve_is_found():
     request = cosim.requested("double_pendulum/quaternion", stop_time=1.0)
     found = set(invariants(reference(request)))
@@ -217,6 +219,7 @@ def test_slow_failure_prevents_runs_at_tighter_tolerances(monkeypatch):
     assert reasons == ["SolverError", *3 * ["left out"], "SolverError", *2 * ["left out"]]
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_listed_with_its_reason():
     selection = Selection(("erk", "dop853"), (1e-4,), backends=("native", "native-interpreted"))
     study = tradeoff("crank_shaft", selection=selection, repeats=0)
@@ -261,6 +264,7 @@ def test_selection_that_fits_no_formulation_is_rejected():
         tradeoff("crank_shaft/multipliers", selection=Selection(("erk",)))
 
 
+@pytest.mark.slow
 def test_without_a_compiler_only_interpreted_equations_are_measured(monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", "")
