@@ -200,6 +200,7 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
         memory->until = fmin(ahead, end);
         return self->trials-- > 0;
     }
+    note_leaving(self->fmu, t, memory->leaves); /* a communication point may lie within the last */
     const double loss = time_to_loss(self, t, memory->end);
     memcpy(k[0], memory->slope, sizeof k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
@@ -231,7 +232,6 @@ static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end
             memory->next = 0.1 * h;
             continue;
         }
-        for (int i = 0; i < N_LIMITS; i++) memory->leaves[i] = DBL_MAX;
         if (N_LIMITS > 0 && dense) look_at_limits(self, memory, after);
         const double next = h * growth(error, rejected);
         const bool shortened = final || size < memory->next;

@@ -89,6 +89,28 @@ def test_a_copy_that_fails_disturbs_no_other():
         assert copies.running.all()
 
 
+def test_a_violated_condition_is_named_with_its_time():
+    """x = tan t exceeds 0.7 at atan 0.7."""
+    with cosim.open(blow_up(), start_values={"x": 0.0, "u": 1.0}) as session:
+        session.advance(to=0.6)
+        assert session.invalid is None
+        saved = session.save()
+        session.advance(to=0.9)
+        assert session.invalid.time == pytest.approx(np.arctan(0.7), abs=1e-8)
+        assert session.copy().invalid == session.invalid
+        session.restore(saved)
+        assert session.invalid is None
+        session.reset({"x": 0.8})
+        session.advance(0.1)
+        assert session.invalid.time == 0.0
+    start = {"x": [0.0, -1.0], "u": 1.0}
+    for solver in (None, "erk"):
+        with cosim.open(blow_up(), copies=2, start_values=start, solver=solver) as copies:
+            copies.advance(to=0.9)
+            assert list(copies.invalid) == [0]
+            assert copies.invalid[0].time == pytest.approx(np.arctan(0.7), abs=1e-6)
+
+
 @pytest.mark.parametrize("solver", [None, "erk"])
 def test_a_saved_state_leads_to_the_same_bits(solver):
     start = {"rate": RATES}

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import astuple
 from enum import StrEnum
 from functools import cached_property
+from operator import attrgetter
 from types import TracebackType
 from typing import Any, NoReturn, Self
 from weakref import finalize
@@ -115,6 +116,7 @@ class Session:
             self._renew()
         try:
             self._events.clear()
+            self._instance.violations.clear()
             if restart is not None:
                 self._check(*restart.run(given, experiment))
             else:
@@ -199,6 +201,7 @@ class Session:
         other = Session(self._file, self._start_values, self._experiment, self._dae)
         other.restore(self.save())
         other._events[:] = self._events
+        other._instance.violations[:] = self._instance.violations
         return other
 
     # -- running ------------------------------------------------------------------------------
@@ -212,6 +215,15 @@ class Session:
     def stop(self) -> str | None:
         """Why the model has ended the run; None if it has not."""
         return self._reason if self._phase is _Phase.ENDED else None
+
+    @property
+    def invalid(self) -> str | None:
+        """The first validity condition that steps violated, and since when; None if none did.
+
+        Models and FMUs that were exported here tell it, other FMUs do not.
+        """
+        found: str | None = min(self._instance.violations, key=attrgetter("time"), default=None)
+        return found
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs.
@@ -364,6 +376,8 @@ class Session:
                 raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._clock = Clock(*clock)
         self._events.clear()
+        violations = self._instance.violations
+        violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = _Phase.RUNNING
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:

@@ -38,6 +38,7 @@ class SingleCopies:
                 raise type(error)(f"copy {number}: {error}") from error
             self.reasons.pop(number, None)
             self._failed.discard(number)
+            self._note_validity(number)
 
     def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
         """Integrate; see `Engine.advance`."""
@@ -55,7 +56,13 @@ class SingleCopies:
                 self.reasons[number] = f"{session.stop} from {session.time:.12g} s on"
             if found:
                 events[number] = found
+            self._note_validity(number)
         return events
+
+    def _note_validity(self, number: int) -> None:
+        self.invalid.pop(number, None)
+        if (found := self._sessions[number].invalid) is not None:
+            self.invalid[number] = found
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Engine.set`."""
