@@ -102,8 +102,8 @@ double next_event(const Instance *self) {
 
 double end_with_event(const Instance *self, double end) {
     const double next = next_event(self), step = end - self->state.values[TIME];
-    const double added = step > 0 ? fabs(end) / step : 0; /* steps, each of which rounds the time */
-    const double rounding = (8 + fmin(added, 1e9)) * DBL_EPSILON * fabs(end);
+    /* an importer that adds its steps rounds the time in each of them */
+    const double rounding = (8 + self->state.steps) * DBL_EPSILON * fabs(end);
     return next > end && next <= end + fmin(rounding, step / 2) ? next : end;
 }
 

@@ -91,6 +91,7 @@ typedef struct {
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */
     double tolerance;              /* relative, of co-simulation */
+    double steps;                  /* of communication, taken since the start */
     uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
     uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_INPUTS */
     uint32_t stale;                /* of START_VALUES ... JACOBIAN */

@@ -39,6 +39,7 @@ Status do_step(Instance *self, double from, double length) {
 
     drop_spent_motion(self);
     const State before = self->state;
+    self->state.steps++;
     const bool asks = self->host.ask_inputs != NULL;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
     /* modes that slide follow from it, also at the end */
