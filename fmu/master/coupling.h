@@ -245,8 +245,10 @@ static inline int run_adaptive(Coupling *self) {
         }
         if (too_far && !self->switched && ++system->forced > MOST_FORCED && !system->quantum)
             return vanished(self, STEP_VANISHED);
+        const long long row = system->rows;
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
+        for (long long r = row; too_far && r < system->rows; ++r) system->at_jumps[r] = true;
         h = length * fmin(fmax(factor, SHORTER), LONGER);
         h = fmin(fmax(h, SHORTEST * span), longest);
         if (self->known == 0) h = first; /* after an event, or a switch */

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae.coupled import Connection
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
 from cosim.coupling.estimate import estimated_error
 from cosim.coupling.failures import Wiring, failure
@@ -171,7 +171,7 @@ class CoSimulation:
         with noted_calls(list(self.parts)) as called:
             task = _Task(settings, values, self._columns(outputs), called)
             if settings.macro_step is not None:
-                run = self._once(task, 0.0, settings.tolerance or _TOLERANCE)
+                run, _ = self._once(task, 0.0, settings.tolerance or _TOLERANCE)
             else:
                 run = self._accurate(task)
         return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
@@ -180,14 +180,14 @@ class CoSimulation:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
         settings = task.settings
         accuracy = settings.accuracy or _ACCURACY
-        last, steps, ratio, before = None, 0, 1.0, 0.0
+        last, steps, ratio, before, jumps_before = None, 0, 1.0, 0.0, np.empty(0, dtype=bool)
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         tolerance = first = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
+                run, jumps = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
             except SolverError as error:
                 if last is None:
                     raise
@@ -203,7 +203,9 @@ class CoSimulation:
             if last is not None:
                 sizes = np.array([column.nominal for column in run.columns])
                 n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
-                change = np.abs(run.values[:n] - last.values[:n]).max(axis=0) / sizes
+                change = np.abs(run.values[:n] - last.values[:n])
+                change[(jumps | jumps_before)[:n]] = 0
+                change = change.max(axis=0) / sizes
                 most = float(change.max())
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
@@ -216,7 +218,7 @@ class CoSimulation:
                 tighter = min(_TIGHTER, accuracy / estimate / 2)
                 if tolerance <= _TIGHTEST:
                     break
-            last, ratio = run, max(tighter, _TIGHTEST / tolerance)
+            last, jumps_before, ratio = run, jumps, max(tighter, _TIGHTEST / tolerance)
             tolerance *= ratio
         raise SolverError(
             f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: the last two "
@@ -253,8 +255,8 @@ class CoSimulation:
 
     def _once(
         self, task: _Task, tolerance: float, of_parts: float, refinement: float = 1.0
-    ) -> Trajectory:
-        """Simulate once.
+    ) -> tuple[Trajectory, Truths]:
+        """Simulate once; return the run, and which output times lie at jumps, (times,).
 
         Args:
             task: What to simulate.
@@ -267,6 +269,7 @@ class CoSimulation:
         for name, part in self._called(task.called):
             part.start(task.values[name], **experiment)
         times = time_grid(settings.start, settings.stop, settings.interval)
+        jumps = np.zeros(len(times), dtype=bool)
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
         lengths = (settings.macro_step, settings.interval, settings.stop - settings.start)
         default = settings.accuracy is None
@@ -296,6 +299,7 @@ class CoSimulation:
             refinement=refinement,
             method=list(Method).index(settings.method),
             threads=settings.threads,
+            at_jumps=jumps.ctypes.data,
             called=ctypes.addressof(task.called),
         )
         library, everything = coupling_library(), np.ones_like(self._feeds)
@@ -308,7 +312,8 @@ class CoSimulation:
                 system.feeds = self._feeds.ctypes.data
                 library.run_coupled(ctypes.byref(system))
         del held
-        return self._result(system, settings, times, tables, columns, parts, bool(interrupts))
+        run = self._result(system, settings, times, tables, columns, parts, bool(interrupts))
+        return run, jumps
 
     def _result(
         self,
