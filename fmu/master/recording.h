@@ -10,6 +10,8 @@
 /* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/compiled_run.py. */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
 
+static const double EXACT = 0x1p53; /* doubles below it hold every integer */
+
 /* Variables of one kind, `count` of them with `values` numbers, as arrays have several; `buffer`
  * holds the numbers as they come. */
 typedef struct {
@@ -88,8 +90,12 @@ static inline int set_row(Fmu *fmu, const Recording *self, const double *in) {
         const Group *group = self->group + g;
         const size_t n = (size_t)group->count, values = (size_t)group->values;
         void *const instance = fmu->call->instance;
-        for (long long i = 0; i < group->values; ++i, ++column)
-            if (*column >= 0) put_number(group, i, in[*column]);
+        for (long long i = 0; i < group->values; ++i, ++column) {
+            if (*column < 0) continue;
+            if (group->kind != F64 && group->kind != F32 && !(fabs(in[*column]) < EXACT))
+                return failed(fmu, "setting an integer from 2^53 on", FAILED);
+            put_number(group, i, in[*column]);
+        }
         const int status =
             group->set_2 ? group->set_2(instance, group->references, n, group->buffer)
                          : group->set_3(instance, group->references, n, group->buffer, values);

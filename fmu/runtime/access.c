@@ -198,9 +198,10 @@ Status get_indicators(Instance *self, double values[], size_t count) {
     if (count == 0) return OK;
     if (!values) return refuse(self, ERROR, "there is no room for %zu values", count);
     const Status status = get_margins(self, values);
+    if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
         if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
-    return status == OK && N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : status;
+    return N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
 }
 
 Status get_nominals(Instance *self, double nominals[], size_t count) {

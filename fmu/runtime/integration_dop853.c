@@ -268,6 +268,7 @@ static bool show(const Problem *self, SolverMemory *memory, double *end) {
     const bool well = pass_midway(self->fmu, end);
     before.mode = state->mode;
     before.outside = state->outside;
+    memcpy(before.memory.leaves, memory->leaves, sizeof memory->leaves);
     memcpy(before.widest, state->widest, sizeof before.widest);
     *state = before;
     return well;

@@ -125,12 +125,13 @@ static void look_at_limits(Instance *self, const State *from) {
     note_leaving(self, end, leaves);
 }
 
-#if HAS_EVENTS
-
-/* Factors of the length between two looks at the relations: where the solver fails, as it does
-   after a limited number of steps, and where it succeeds. */
+#if HAS_EVENTS || !FIXED_STEPS
+/* Factors of the length between two looks: where the solver fails, as it does after a limited
+   number of steps, and where it succeeds. */
 static const double SHORTER = 0.25, LONGER = 1.2;
+#endif
 
+#if HAS_EVENTS
 /* Repeat the step so that it ends at a time; the instance is there then. */
 static bool step_again(void *cubic, double t, double x[], double z[], double u[]) {
     const Cubic *self = cubic;
@@ -253,9 +254,10 @@ bool integrate_to(Instance *self, double end) {
         if (how == LOST) return false;
         if (how == FAILED) {
             failed++;
-            length = (last ? rest : length) / 4;
-        } else if (*time < end && !pass_midway(self, &end)) {
-            return false;
+            length = SHORTER * (last ? rest : length);
+        } else {
+            length = fmin(length * LONGER, longest);
+            if (*time < end && !pass_midway(self, &end)) return false;
         }
     }
     return *time >= end;

@@ -25,7 +25,7 @@ typedef struct {
 
 static void all_margins(const Margin *self, double t, double margins[]) {
     if (!margins_on(self->fmu, self->motion, t, margins))
-        for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
+        for (int i = 0; i < N_LIMITS; i++) margins[i] = INFINITY; /* the equations failed */
 }
 
 static void measure_margin(void *margin, const double times[], double margins[]) {

@@ -49,6 +49,39 @@ def test_a_bump_of_a_table_is_not_passed_over(kind):
     assert abs(run["x_2"][-1] / right - 1) < 1e-2  # its width of 0.1 m; measured below
 
 
+@pytest.mark.parametrize("shape", ["logistic", "cosh"])
+def test_a_bump_whose_bounds_overflow_is_not_passed_over(shape):
+    def road(s):
+        if shape == "cosh":
+            return HEIGHT / ca.cosh((s - PLACE) / 1e-2)
+        edges = (1 / (1 + ca.exp((place - s) / 1e-3)) for place in (PLACE - 0.005, PLACE + 0.005))
+        return HEIGHT * (next(edges) - next(edges))
+
+    run = cosim.simulate(on_road(road, output_interval=0.5), solver="dop853")
+    right = after_an_impulse(HEIGHT * 1e-2 * (np.pi if shape == "cosh" else 1))
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2
+
+
+@pytest.mark.parametrize("kind", ["table", "formula"])
+def test_spikes_of_a_rest_between_are_not_passed_over(kind):
+    places = np.arange(0.35, 70, 0.7)
+    if kind == "table":
+        knots = np.sort(np.concatenate([[0.0], *(places + d for d in (-0.005, 0, 0.005)), [100]]))
+        heights = np.where(np.isin(knots, places), HEIGHT, 0.0)
+        road, area = ca.interpolant("road", "linear", [knots], heights), HEIGHT * 0.005
+    else:
+        width = 3e-3
+
+        def road(s):
+            return HEIGHT * ca.exp(-((ca.sin(np.pi * (s - 0.35) / 0.7) / width) ** 2))
+
+        area = HEIGHT * np.sqrt(np.pi) * width * 0.7 / np.pi
+    kinds = ca.MX if kind == "table" else SX
+    run = cosim.simulate(on_road(road, kinds, output_interval=0.5), solver="dop853")
+    right = sum(after_an_impulse(area, place) for place in places)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2
+
+
 @pytest.mark.parametrize(("width", "bound"), [(1e-5, 1e-5), (1e-8, 2e-4)])  # times round to 1e-13 s
 def test_a_pulse_of_time_that_samples_miss_is_integrated(width, bound):
     t, x = SX.sym("t"), SX.sym("x")

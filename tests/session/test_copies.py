@@ -175,6 +175,7 @@ def test_lanes_and_sessions_agree_on_the_bicycle():
         (lambda c: c.reset({"rate": [1, 2]}), ParameterError, "shape"),
         (lambda c: c.reset([1.0]), UsageError, "values by name"),
         (lambda c: c.reset(only=[5]), UsageError, "numbers from 0 to 4"),
+        (lambda c: c.reset(only=[1, 1]), UsageError, "names a copy twice"),
         (lambda c: c.reset(only="one"), UsageError, "numbers from 0 to 4"),
         (lambda c: c.restore(b""), UsageError, "no saved copies"),
         (lambda c: c.restore(c.save()[:-30]), UsageError, "no saved copies"),
@@ -212,3 +213,53 @@ def test_closed_copies_take_no_calls():
     with pytest.raises(FmuError, match="closed"):
         copies.advance(0.1)
     copies.close()
+
+
+def test_values_belong_to_the_copies_in_the_order_in_which_they_are_named():
+    with cosim.open(decay(), copies=N) as copies:
+        copies.reset({"x": [3.0, 1.0]}, only=[3, 1])
+        np.testing.assert_array_equal(copies["x"], [1, 1, 1, 3, 1])
+
+
+@pytest.mark.parametrize("solver", [None, "erk"])
+def test_a_value_that_does_not_fit_changes_no_copy(solver):
+    with cosim.open(decay(), copies=2, solver=solver) as copies:
+        copies.set(force=[1.0, 2.0])
+        copies.advance(0.1)
+        before = copies.get(["x", "force", "rate"])
+        for call in (copies.set, copies.reset):
+            name = "force" if call == copies.set else "x"
+            with pytest.raises(ParameterError, match="copy 1: "):
+                call({name: [0.5, np.nan]})
+            np.testing.assert_array_equal(copies.get(["x", "force", "rate"]), before)
+        assert copies.time == 0.1
+
+
+def test_no_step_leads_beyond_the_stop_time():
+    with cosim.open(decay(), copies=2, stop_time=0.5) as copies:
+        copies.advance(to=0.5)
+        with pytest.raises(UsageError, match="beyond the stop time"):
+            copies.advance(0.1)
+    with cosim.open(decay(), copies=2, stop_time=0.5, solver="erk") as copies:
+        copies.advance(0.6)
+        assert "beyond the stop time" in copies.reasons[0]
+
+
+def test_arrays_of_the_caller_are_copied():
+    x = np.array([1.0, 2.0])
+    with cosim.open(decay(), copies=2, start_values={"x": x}) as copies:
+        x[:] = 7.0
+        copies.reset()
+        np.testing.assert_array_equal(copies["x"], [1, 2])
+
+
+def test_saved_copies_of_another_model_of_the_name_are_refused():
+    model = Model("decay", stop_time=1.0)
+    x, y = model.state("x", "m", 1.0, "place"), model.state("y", "m", 1.0, "place")
+    model.derivative(x, -x)
+    model.derivative(y, -y)
+    with cosim.open(decay(), copies=2) as one:
+        saved = one.save()
+    other = cosim.open(model.freeze(), copies=2)
+    with pytest.raises(UsageError, match="another model"):
+        other.restore(saved)

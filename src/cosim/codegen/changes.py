@@ -111,22 +111,11 @@ def sampled_changes(values: Callable[[Vector], Vector], edges: Vector, knots: Ve
     return Changes(parts, float(seen.min()), float(seen.max()), is_whole=True)
 
 
-def merged(parts: list[tuple[float, float]], gap: float) -> list[tuple[float, float]]:
-    """Return parts, of which those are one that are no further apart than a gap."""
-    return _joined(parts, lambda _: gap)
-
-
 def apart(parts: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return parts, of which those are one between which there is less room than they take."""
-    return _joined(parts, lambda before: before[1] - before[0])
-
-
-def _joined(
-    parts: list[tuple[float, float]], gap: Callable[[tuple[float, float]], float]
-) -> list[tuple[float, float]]:
+    """Return parts, of which those are one between which there is less room than each takes."""
     found = list[tuple[float, float]]()
     for a, b in parts:
-        if found and a - found[-1][1] <= gap(found[-1]):
+        if found and a - found[-1][1] <= min(found[-1][1] - found[-1][0], b - a):
             found[-1] = (found[-1][0], b)
         else:
             found.append((a, b))

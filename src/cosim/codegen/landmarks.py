@@ -40,7 +40,7 @@ class Landmarks:
         moving: Names of the states with such terms; "time" for those of time.
         followed: Names of the parameters that places follow.
         given: Names of the parameters that move places which do not follow them.
-        passed: Names of the states with more places than are followed.
+        passed: Names of the states with more places than are followed, or tables without knots.
     """
 
     arguments: SX
@@ -73,13 +73,16 @@ def landmarks(dae: Dae) -> Landmarks:
         dae: The model, with frozen relations.
     """
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
-    changes = dict[int, dict[tuple[int, bytes], _Change]]()
+    changes, unknown = dict[int, dict[tuple[int, bytes], _Change]](), set[int]()
     for term in inner_terms(dae):  # one that has different factors in two equations is one
+        if term.tables and not len(knots_of(term)):
+            unknown.add(term.moving)
         for change in _changes(dae, term, p):
             key = term.variable.element_hash(), change.places.tobytes()
             changes.setdefault(term.moving, {}).setdefault(key, change)
-    rows, times, given, passed = list[SX](), [np.empty(0)], set[str](), list[str]()
     names, found = [*(state.name for state in dae.states), "time"], list[str]()
+    passed = [names[moving] for moving in sorted(unknown)]
+    rows, times, given = list[SX](), [np.empty(0)], set[str]()
     for moving, own in changes.items():
         steps = sum(change.is_step for change in own.values())
         needed = [change for change in own.values() if not change.is_step or steps > 1]

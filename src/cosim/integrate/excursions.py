@@ -15,7 +15,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Integers, Truths, Vector
-from cosim.codegen.changes import FLAT, merged
+from cosim.codegen.changes import FLAT, apart
 from cosim.integrate.motion import Motion
 from cosim.memo import cached_per_thread
 
@@ -175,7 +175,7 @@ def _of_term(
     off, whole = beyond(parts), nodes[1] - nodes[0]
     for _ in range(_MOST_ROUNDS):
         wide = np.flatnonzero((off > _LEAST * size) & (parts.ends - parts.begins > shortest))
-        if not len(wide) or len(off) > _MOST_PARTS:
+        if not len(wide) or len(off) > len(nodes) + _MOST_PARTS:
             break
         wide = wide[np.argsort(-off[wide], kind="stable")[:_AT_ONCE]]
         own, keep = parts.at(wide), np.delete(np.arange(len(off)), wide)
@@ -187,4 +187,4 @@ def _of_term(
     changes = np.abs(parts.last - parts.first) > FLAT * size
     parts = parts.at(changes & (parts.ends - parts.begins < 0.75 * whole))
     spans = sorted(zip(parts.begins.tolist(), parts.ends.tolist(), strict=True))
-    return merged(spans, whole)
+    return apart(spans)

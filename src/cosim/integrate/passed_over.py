@@ -21,7 +21,7 @@ from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import changing_parts, merged, sampled_changes
+from cosim.codegen.changes import NOTHING, apart, changing_parts, sampled_changes
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
@@ -254,12 +254,12 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
     edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
     for term, bounded in enumerate(terms.bounded):
         values = terms.value(term, p)
-        if bounded:
-            changes = changing_parts(values, terms.bend(term, p), edges)
-        else:
-            changes = sampled_changes(values, edges, _knots(motion.dae, terms, p))
-        parts = merged(changes.parts, edges[1] - edges[0])
-        found += [(term, *part) for part in parts]
+        changes = changing_parts(values, terms.bend(term, p), edges) if bounded else NOTHING
+        parts = changes.parts
+        if not changes.is_whole:  # where no bounds are finite, samples tell
+            sampled = sampled_changes(values, edges, _knots(motion.dae, terms, p))
+            parts = sorted({*parts, *sampled.parts})
+        found += [(term, *part) for part in apart(parts)]
     return found
 
 
@@ -278,8 +278,7 @@ def _times(motion: Motion, terms: _Terms, low: float, high: float) -> list[tuple
     last = np.clip(shares.max(axis=0), 0, 1)
     within = np.flatnonzero(first < last)
     begins, ends = (t[within] + s[within] * np.diff(t)[within] for s in (first, last))
-    found = merged(list(zip(begins.tolist(), ends.tolist(), strict=True)), 0)
-    return [(begin, end) for begin, end in found if begin < end]
+    return apart(list(zip(begins.tolist(), ends.tolist(), strict=True)))
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:

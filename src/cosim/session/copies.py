@@ -77,7 +77,8 @@ class Copies:
     ) -> None:
         self._engine = engine
         self._count = count
-        self._start_values = dict(_given(engine.name, values))
+        given = _given(engine.name, values)
+        self._start_values = {n: v if np.ndim(v) == 0 else np.array(v) for n, v in given.items()}
         self._start_time = start_time
         self._clock = Clock(start_time, start_time)
         self._closed = False
@@ -228,7 +229,10 @@ class Copies:
         return engine.get(chosen, self.time)
 
     def save(self) -> bytes:
-        """Return the state of all copies, for `restore` of as many copies of the same model."""
+        """Return the state of all copies, for `restore` of as many copies of the same model.
+
+        Sessions whose runs have ended are saved without their values, which are NaN afterwards.
+        """
         content = io.BytesIO()
         reasons, invalid = self._require().reasons, self._engine.invalid
         texts = {"reasons": reasons, "invalid": invalid}
@@ -271,7 +275,10 @@ class Copies:
         """Return saved arrays, which must be those of as many copies of the model."""
         present = self._engine.save()
         same = model == self.name and arrays.keys() == present.keys()
-        if not same or any(len(arrays[n]) != len(present[n]) for n in arrays if n != "content"):
+        if not same or any(
+            (arrays[name].shape, arrays[name].dtype) != (present[name].shape, present[name].dtype)
+            for name in arrays.keys() - {"content"}
+        ):
             raise UsageError(
                 f"{self.name}: these bytes were saved by copies of another model, or by another "
                 "number of them"
@@ -287,15 +294,18 @@ class Copies:
         every = np.arange(self._count)
         if only is None:
             return every
-        chosen = np.atleast_1d(np.asarray(only))
+        chosen = np.asarray(only).ravel()
         try:
-            return np.unique(every[chosen if chosen.size else chosen.astype(int)])
+            rows: Integers = every[chosen if chosen.size else chosen.astype(int)]
         except IndexError:
             raise UsageError.of_type(
                 f"{self.name}: only",
                 only,
                 f"numbers from 0 to {self._count - 1}, or {self._count} truth values",
             ) from None
+        if len(set(rows.tolist())) < len(rows):
+            raise UsageError(f"{self.name}: only names a copy twice; give each number once")
+        return rows
 
     def _column(self, name: str, value: Any, count: int) -> Any:
         """Return a number or a text as it is, and several values as an array of numbers."""

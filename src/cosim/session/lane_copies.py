@@ -1,6 +1,7 @@
 """`LaneCopies`: copies of an explicit model in SIMD lanes and threads."""
 
 from collections.abc import Mapping
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.solver import Tolerance
 from cosim.trajectory import Event
 
+_CLOCK = 1e-9  # relative difference of times that agree, as in an FMU
+
 
 class LaneCopies:
     """Copies in SIMD lanes; see `Engine`.
@@ -33,12 +36,13 @@ class LaneCopies:
         dae: An explicit model without events.
         count: Number of copies.
         tolerance: Tolerance and largest step of the solver.
+        stop: End beyond which steps are rejected, s; none when None.
 
     Raises:
         MissingTool: There is no compiler, or it fails.
     """
 
-    def __init__(self, dae: Dae, count: int, tolerance: Tolerance) -> None:
+    def __init__(self, dae: Dae, count: int, tolerance: Tolerance, stop: float | None) -> None:
         self.name = dae.full_name
         self.inputs = tuple(v.name for v in dae.inputs)
         self.outputs = dae.observed
@@ -47,6 +51,7 @@ class LaneCopies:
         self.invalid: dict[int, str] = {}
         self._dae = dae
         self._tolerance = tolerance
+        self._stop = inf if stop is None else stop
         self._recorded = tuple(dict.fromkeys((*self.states, *self.outputs)))
         self._lanes = processor_lanes()
         self._library = lane_library(dae, self._recorded, self._lanes)
@@ -93,6 +98,11 @@ class LaneCopies:
 
     def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
         """Integrate; see `Engine.advance`."""
+        if target - self._stop > _CLOCK * abs(target):
+            raise UsageError(
+                f"{self.name}: the step ends at {target:.17g}, beyond the stop time "
+                f"{self._stop:.17g}; give a later one to open"
+            )
         self._run(np.array([time, target]))
         return {}
 

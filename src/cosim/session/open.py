@@ -118,7 +118,7 @@ def open(
         dae = asked.dae
         lanes = lane_solver(with_largest_step(asked))
         if copies is not None and lanes is not None and solver in (None, lanes.name):
-            engine = LaneCopies(dae, copies, lanes.tolerance)
+            engine = LaneCopies(dae, copies, lanes.tolerance, stop_time)
             return Copies(engine, copies, start_values or {}, asked.times.span(dae)[0])
         file = exported(dae, solver)
     request = FmuRequest.of(file.description, Interface.CO_SIMULATION, file.name, **facts)

@@ -110,7 +110,7 @@ class Session:
         restart = self._restarts.get(tuple(given)) if self._used else None
         if restart is not None and not restart.accepts(given):
             restart = None
-        values = self._checked(given) if restart is None else {}
+        values = self.checked(given) if restart is None else {}
         self._phase = _Phase.FAILED
         if not self._used or not self._file.is_own:
             self._renew()
@@ -415,8 +415,12 @@ class Session:
 
     # -- checks and failures ------------------------------------------------------------------
 
-    def _checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return start values by the names of the FMU, in its units."""
+    def checked(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return start values by the names of the FMU, in its units.
+
+        Raises:
+            UnknownName, UsageError, ParameterError, InitialConditionError: See `reset`.
+        """
         if not isinstance(values, Mapping):
             raise UsageError.of_type(
                 f"{self.name}: start_values", values, "values by name, e.g. {'phi': 1}"

@@ -1,6 +1,7 @@
 """`SingleCopies`: copies of a model that are sessions of their own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,13 @@ class SingleCopies:
 
     def begin(self, values: Mapping[str, Any], time: float, rows: Integers) -> None:
         """Begin copies again; see `Engine.begin`."""
-        for place, number in enumerate(rows.tolist()):
-            session = self._sessions[number]
-            own = {name: v if np.ndim(v) == 0 else float(v[place]) for name, v in values.items()}
-            try:
-                session.reset(own, start_time=time)
-            except CosimError as error:
-                raise type(error)(f"copy {number}: {error}") from error
+        owns = [_of(values, place) for place in range(len(rows))]
+        for number, own in zip(rows.tolist(), owns, strict=True):  # before any begins
+            with _naming(number):
+                self._sessions[number].checked(own)
+        for number, own in zip(rows.tolist(), owns, strict=True):
+            with _naming(number):
+                self._sessions[number].reset(own, start_time=time)
             self.reasons.pop(number, None)
             self._failed.discard(number)
             self._note_validity(number)
@@ -66,11 +67,17 @@ class SingleCopies:
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Engine.set`."""
-        for number, session in enumerate(self._sessions):
-            if number not in self.reasons:
-                session.set(
-                    {name: v if np.ndim(v) == 0 else float(v[number]) for name, v in values.items()}
-                )
+        names, before = list(values), dict[int, Vector]()
+        try:
+            for number in np.setdiff1d(np.arange(len(self._sessions)), [*self.reasons]).tolist():
+                with _naming(number):
+                    present = self._sessions[number].get(names) if names else np.empty(0)
+                    self._sessions[number].set(_of(values, number))
+                before[number] = present
+        except CosimError:
+            for number, row in before.items():
+                self._sessions[number].set(dict(zip(names, row.tolist(), strict=True)))
+            raise
 
     def get(self, names: tuple[str, ...], time: float) -> Vector:
         """Return values; see `Engine.get`."""
@@ -99,3 +106,17 @@ class SingleCopies:
                 self._failed.discard(number)
             else:
                 self._failed.add(number)
+
+
+def _of(values: Mapping[str, Any], place: int) -> dict[str, Any]:
+    """Return the values of one copy."""
+    return {name: v if np.ndim(v) == 0 else float(v[place]) for name, v in values.items()}
+
+
+@contextmanager
+def _naming(number: int) -> Iterator[None]:
+    """Name the copy in errors."""
+    try:
+        yield
+    except CosimError as error:
+        raise type(error)(f"copy {number}: {error}") from error

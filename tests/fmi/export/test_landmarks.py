@@ -10,6 +10,7 @@ from fmpy.fmi2 import FMU2Slave
 import cosim
 from casadi_models.dae.inner_terms import inner_terms
 from cosim.codegen.landmarks import landmarks
+from cosim.fmi.export.events import fmu_events
 
 SPEED, HEIGHT, PLACE, WIDTH = 10.0, 0.05, 50.3, 1e-3  # m/s, m
 INTERFACES = ["CoSimulation", "ModelExchange"]
@@ -168,3 +169,20 @@ def test_a_model_with_too_many_places_is_exported_with_a_warning():
     bumps = sum(ca.exp(-(((x - 3 * k) * 100) ** 2)) for k in range(40))
     dae = cosim.from_casadi({"x": ca.vertcat(x, y), "ode": ca.vertcat(1, bumps)})
     assert landmarks(dae).passed == (dae.states[0].name,)
+
+
+def test_a_pulse_of_time_after_the_default_stop_time_is_met(tmp_path):
+    t, x = SX.sym("t"), SX.sym("x")
+    ode = ca.exp(-(((t - 15.3) / WIDTH) ** 2)) / WIDTH
+    dae = cosim.from_casadi({"t": t, "x": x, "ode": ode}, name="late", stop_time=10)
+    path = cosim.export_fmu(dae, tmp_path / "late.fmu")
+    for interface in INTERFACES:
+        run = cosim.simulate_fmu(path, interface=interface, stop_time=20, output_interval=2)
+        assert run["x"][-1] == pytest.approx(np.sqrt(np.pi), rel=1e-6)  # 0 before
+
+
+def test_a_table_without_knots_is_named():
+    knots = np.linspace(0, 200, 2001)
+    table = ca.interpolant("road", "linear", [knots], np.sin(knots), {"inline": True})
+    with pytest.warns(UserWarning, match="terms of x_1 change in places"):
+        fmu_events(on_road(table, ca.MX))

@@ -24,8 +24,7 @@ def fmu_pulses(dae: Dae) -> Vector:
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     span = dae.experiment.stop_time
     sampled = pulse_times(dae, p, 0.0, span, span / LEAST_STEPS)
-    bounded = landmarks(dae).times
-    return np.union1d(sampled, bounded[(bounded > 0) & (bounded < span)])
+    return np.union1d(sampled, landmarks(dae).times)
 
 
 def fmu_events(dae: Dae) -> Hybrid | None:
@@ -44,8 +43,8 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     places = landmarks(system.dae)
     for name in places.passed:
         warn(
-            f"{dae.full_name}: terms of {name} change in too many places for an FMU to name them; "
-            "an importer's solver may step over some: give it a largest step",
+            f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "
+            "importer's solver may step over some: give it a largest step",
             stacklevel=2,
         )
     system = system.watching_more(places.arguments, "place")
