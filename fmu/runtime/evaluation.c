@@ -61,8 +61,8 @@ static Status settle_start(Instance *self) {
     return start_modes(self);
 }
 
-void pass_point(Instance *self, const double *t, const double x[], const double z[],
-                const double u[]) {
+void pass_point(Instance *self, const double *t, const double *x, const double *z,
+                const double *u) {
     self->arg[0] = t;
     self->arg[1] = x;
     self->arg[2] = z;

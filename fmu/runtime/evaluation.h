@@ -13,8 +13,7 @@ bool all_finite(const double values[], int count);
 
 /* Pass the common arguments of the equations, t, x, z, u, p: those of a point, or the present ones.
  */
-void pass_point(Instance *self, const double *t, const double x[], const double z[],
-                const double u[]);
+void pass_point(Instance *self, const double *t, const double *x, const double *z, const double *u);
 void pass_values(Instance *self);
 
 /* Pass a point whose algebraic unknowns are solved for from their guess; false without a solution.

@@ -142,9 +142,10 @@ def fmu(tmp_path_factory):
     return cosim.export_fmu(model(), path, solver="dop853")
 
 
-# Largest difference of final values from native simulation; measured 2e-12 and 2e-9 of the value
+# Largest difference of final values from native simulation; measured 2e-12 and, with an importer
+# that starts anew at each place of the bump, 9e-7 of the value
 @pytest.mark.slow
-@pytest.mark.parametrize(("interface", "bound"), [("CoSimulation", 1e-10), ("ModelExchange", 1e-7)])
+@pytest.mark.parametrize(("interface", "bound"), [("CoSimulation", 1e-10), ("ModelExchange", 2e-6)])
 def test_an_fmu_jumps_as_the_native_model_does(fmu, interface, bound):
     names = ("x", "z", "theta", "x_dot", "z_dot", "theta_dot", "spinA", "spinD", "loss")
     run = cosim.simulate_fmu(

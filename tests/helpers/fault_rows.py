@@ -253,7 +253,7 @@ def _misbehaving() -> Iterator[Row]:
         "fmi2ExitInitializationMode segv": "SIGSEGV",
         "fmi2GetReal status 3": "status 3",
         "fmi2GetReal status 77": "illegal return code",
-        "fmi2DoStep status 2": "ended at",
+        "fmi2DoStep status 2": "status 2",
         "fmi2DoStep status 3": "status 3",
         "fmi2DoStep status 4": "status 4",
         "fmi2DoStep status 5": "illegal return code",

@@ -180,31 +180,41 @@ def with_singularity_margin(dae: Dae) -> Dae:
     return replace(dae, limits=(*dae.limits, margin))
 
 
-def times_between(dae: Dae, grid: Vector, gap: float | None = None) -> Vector:
+def times_between(dae: Dae, grid: Vector, step: float | None = None) -> Vector:
     """Return output times with further times between, to detect what happens there.
 
     Args:
         dae: The model; without events, validity conditions and the monitor of its constraints,
             nothing is added.
         grid: Output times, s, (n,).
-        gap: Distance between two times, s; by default the model's output interval. It is larger
-            for very long runs.
+        step: Of a solver with fixed steps, s, which end at these times; else they are the model's
+            output interval apart, or more in very long runs.
     """
     # explicit formulations fail in singular configurations
     watched = dae.has_conditioned_multipliers or dae.limits or hybrid(dae)
     if not watched or len(grid) < 2:
         return grid
     span = float(grid[-1] - grid[0])
-    gap = max(gap or dae.experiment.output_interval, span / _MOST_TIMES)
+    gap = max(step or dae.experiment.output_interval, span / _MOST_TIMES)
     lengths = np.diff(grid)
     if not (lengths > _COARSE * gap).any():
         return grid
     pieces = np.maximum(1, np.ceil(lengths / gap * (1 - 1e-12))).astype(int)
+    if step is not None:
+        pieces = np.array(
+            [_whole_steps(*pair) for pair in zip(lengths / step, pieces, strict=True)]
+        )
     inner = [
         np.linspace(a, b, k, endpoint=False)
         for a, b, k in zip(grid, grid[1:], pieces, strict=False)
     ]
     return np.concatenate((*inner, grid[-1:]))
+
+
+def _whole_steps(steps: float, pieces: int) -> int:
+    """Return the largest number of pieces, up to the given one, that are steps without a rest."""
+    count = max(1, int(np.ceil(steps * (1 - 1e-12))))
+    return next(n for n in range(min(pieces, count), 0, -1) if count % n == 0)
 
 
 class SingularConfiguration(NamedTuple):
