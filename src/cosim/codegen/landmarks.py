@@ -75,7 +75,7 @@ def landmarks(dae: Dae) -> Landmarks:
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     changes, unknown = dict[int, dict[tuple[int, bytes], _Change]](), set[int]()
     for term in inner_terms(dae):  # one that has different factors in two equations is one
-        of_tables = all(table.is_a("Interpolant") for table, _ in term.tables)
+        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
         if term.tables and of_tables and not len(knots_of(term)):
             unknown.add(term.moving)
         for change in _changes(dae, term, p):
@@ -164,11 +164,12 @@ def knots_of(term: InnerTerm) -> Vector:
     """Return the knots of the tables of a term in its variable; empty if they are unknown."""
     found = list[Vector]()
     for table, argument in term.tables:
-        if not table.is_a("Interpolant"):  # an external function may hold a table, too
-            return np.empty(0)
         generator = ca.CodeGenerator("table")
-        generator.add(table)
-        code = generator.dump()
+        try:
+            generator.add(table)
+            code = generator.dump()
+        except RuntimeError:  # of an external function, which may hold a table, too
+            return np.empty(0)
         grids = re.findall(_GRID, code)
         if len(grids) != 1:
             return np.empty(0)

@@ -10,7 +10,6 @@ from fmpy.fmi2 import FMU2Slave
 import cosim
 from casadi_models.dae.inner_terms import inner_terms
 from cosim.codegen.landmarks import landmarks
-from cosim.fmi.export.events import fmu_events
 
 SPEED, HEIGHT, PLACE, WIDTH = 10.0, 0.05, 50.3, 1e-3  # m/s, m
 INTERFACES = ["CoSimulation", "ModelExchange"]
@@ -179,10 +178,3 @@ def test_a_pulse_of_time_after_the_default_stop_time_is_met(tmp_path):
     for interface in INTERFACES:
         run = cosim.simulate_fmu(path, interface=interface, stop_time=20, output_interval=2)
         assert run["x"][-1] == pytest.approx(np.sqrt(np.pi), rel=1e-6)  # 0 before
-
-
-def test_a_table_without_knots_is_named():
-    knots = np.linspace(0, 200, 2001)
-    table = ca.interpolant("road", "linear", [knots], np.sin(knots), {"inline": True})
-    with pytest.warns(UserWarning, match="terms of x_1 change in places"):
-        fmu_events(on_road(table, ca.MX))
