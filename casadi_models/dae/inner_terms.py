@@ -12,9 +12,7 @@ from casadi import SX
 
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, called
-from casadi_models.dae.single_terms import in_postorder, single_terms
-
-_SUMS = {ca.OP_ADD, ca.OP_SUB, ca.OP_NEG}
+from casadi_models.dae.single_terms import SUMS, in_postorder, single_terms
 
 
 class InnerTerm(NamedTuple):
@@ -51,12 +49,12 @@ class _Node(NamedTuple):
 def inner_terms(dae: Dae) -> list[InnerTerm]:
     """Return the terms of time or a single state that may rest and change on its way."""
     moving = [*ca.vertsplit(dae.x), dae.t] if dae.states else [dae.t]
-    found = dict[int, InnerTerm]()
-    for place, terms in single_terms(dae).items():
-        for term in ca.vertsplit(terms):
-            for own in _inner(dae, place, moving[place], term):
-                found.setdefault(own.value.element_hash(), own)
-    return list(found.values())
+    return [
+        own
+        for place, terms in single_terms(dae).items()
+        for term in ca.vertsplit(terms)
+        for own in _inner(dae, place, moving[place], term)
+    ]
 
 
 def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
@@ -94,7 +92,7 @@ def _combined(
         return _Node(code, value, roots, False, operands)
     others = [o.form for o in operands if not o.roots]
     linear = (
-        code in _SUMS
+        code in SUMS
         or (code in (ca.OP_TWICE, ca.OP_MUL) and len(movers) == 1)
         or (code == ca.OP_DIV and not operands[1].roots)
     )  # fmt: skip
@@ -120,7 +118,7 @@ def _pieces(node: _Node) -> Iterator[_Node]:
     factor = node.code == ca.OP_MUL or (node.code == ca.OP_DIV and movers == [node.operands[0]])
     if node.is_line:
         return
-    if node.code in (*_SUMS, ca.OP_TWICE) or (factor and len(movers) == 1):
+    if node.code in (*SUMS, ca.OP_TWICE) or (factor and len(movers) == 1):
         for operand in movers:
             yield from _pieces(operand)
     else:

@@ -8,7 +8,7 @@ from casadi import SX
 
 from casadi_models.dae.frozen import Dae
 
-_SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
+SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
     ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_INV, ca.OP_DIV, ca.OP_POW,
     ca.OP_CONSTPOW, ca.OP_SINH, ca.OP_COSH, ca.OP_TAN, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT,
@@ -62,18 +62,12 @@ def several_terms(dae: Dae) -> SX:
     Returns:
         Expressions of the symbols of the equations, (n, 1).
     """
-    moving = _moving(dae)
-    nodes, found, sizes = dict[int, _Node](), list[SX](), dict[int, int]()
-    for key, value, keys in in_postorder([*_elements(dae.ode), *_elements(dae.alg)]):
-        operands, sizes[key] = [nodes[k] for k in keys], 1 + sum(sizes[k] for k in keys)
-        if not operands:
-            constant = _NONE if value.is_constant() else _MANY
-            nodes[key] = _leaf(value, moving.get(key, constant))
-            continue
-        nodes[key] = _combined(value, operands, through_calls=True)
-        moves = operands[-1].moving != _NONE
-        narrow = value.op() in _RESTING and moves
-        if narrow and nodes[key].moving == _MANY and sizes[key] <= _MOST_OPERATIONS:
+    found, sizes = list[SX](), dict[int, int]()
+    for node, operands in _nodes(dae, through_calls=True):
+        value = node.value
+        size = sizes[_key(node)] = 1 + sum(sizes[_key(operand)] for operand in operands)
+        narrow = value.op() in _RESTING and operands[-1].moving != _NONE
+        if narrow and node.moving == _MANY and size <= _MOST_OPERATIONS:
             found.append(value if value.op() != ca.OP_CALL else value.get_output(0))
     return ca.densify(ca.vertcat(SX(0, 1), *found))
 
@@ -102,20 +96,31 @@ def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
         dae: The equations.
         through_calls: Whether a function that is called may be in a term.
     """
-    moving = _moving(dae)
-    roots = [*_elements(dae.ode), *_elements(dae.alg)]
     nodes, found = dict[int, _Node](), dict[int, _Node]()
-    for key, value, keys in in_postorder(roots):
+    for node, operands in _nodes(dae, through_calls=through_calls):
+        nodes[_key(node)] = node
+        if node.moving == _MANY:
+            found |= {_key(term): term for operand in operands for term in operand.terms}
+    for root in _roots(dae):
+        found |= {_key(term): term for term in nodes[root.element_hash()].terms}
+    return list(found.values())
+
+
+def _nodes(dae: Dae, *, through_calls: bool) -> Iterator[tuple[_Node, list[_Node]]]:
+    """Yield every node of the equations once, after its operands, with these."""
+    moving, nodes = _moving(dae), dict[int, _Node]()
+    for key, value, keys in in_postorder(_roots(dae)):
         operands = [nodes[k] for k in keys]
         if operands:
             nodes[key] = _combined(value, operands, through_calls=through_calls)
         else:
             constant = _NONE if value.is_constant() else _MANY
             nodes[key] = _leaf(value, moving.get(key, constant))
-        if nodes[key].moving == _MANY:
-            found |= {_key(term): term for operand in operands for term in operand.terms}
-    found |= {_key(term): term for root in roots for term in nodes[root.element_hash()].terms}
-    return list(found.values())
+        yield nodes[key], operands
+
+
+def _roots(dae: Dae) -> list[SX]:
+    return [*_elements(dae.ode), *_elements(dae.alg)]
 
 
 def _moving(dae: Dae) -> dict[int, int]:
@@ -147,7 +152,7 @@ def _combined(value: SX, operands: Sequence[_Node], *, through_calls: bool) -> _
     is_local = (code in _LOCAL and divides) or any(operand.is_local for operand in operands)
     node = _Node(value, moving, (), is_local)
     terms = tuple(term for operand in operands for term in operand.terms)
-    return node._replace(terms=terms if code in _SUMS else (node,))
+    return node._replace(terms=terms if code in SUMS else (node,))
 
 
 def _elements(column: SX) -> list[SX]:

@@ -75,10 +75,11 @@ def landmarks(dae: Dae) -> Landmarks:
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     changes, unknown = dict[int, dict[tuple[int, bytes], _Change]](), set[int]()
     for term in inner_terms(dae):  # one that has different factors in two equations is one
+        knots = knots_of(term)
         of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
-        if term.tables and of_tables and not len(knots_of(term)):
+        if term.tables and of_tables and not len(knots):
             unknown.add(term.moving)
-        for change in _changes(dae, term, p):
+        for change in _changes(dae, term, knots, p):
             key = term.variable.element_hash(), change.places.tobytes()
             changes.setdefault(term.moving, {}).setdefault(key, change)
     names, found = [*(state.name for state in dae.states), "time"], list[str]()
@@ -110,7 +111,7 @@ def landmarks(dae: Dae) -> Landmarks:
     )
 
 
-def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Change]:
     length, symbol = SX.sym("length"), term.symbol
     value = ca.Function("value", [symbol, dae.p], [term.value], {"cse": True})
 
@@ -128,7 +129,6 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
 
         found = changing_parts(values, bend, edges)
     else:
-        knots = knots_of(term)
         found = changes_between(values, knots) if len(knots) > 1 else NOTHING
     if not found.is_whole:
         return []

@@ -50,12 +50,14 @@ class SeveralTerms:
 @cached_per_thread(32)
 def several_terms_of(dae: Dae) -> SeveralTerms | None:
     """Return the terms of several quantities; None if a model has none."""
-    terms = [*ca.vertsplit(several_terms(dae))] if several_terms(dae).numel() else []
+    column = several_terms(dae)
+    if not column.numel():
+        return None
     moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
     known, rows, names, unbounded = list[SX](), list[tuple[SX, SX]](), list[str](), list[str]()
     own = {symbol.element_hash() for symbol in ca.vertsplit(moving)}
-    for term in terms:
+    for term in ca.vertsplit(column):
         symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
         name = ", ".join(symbol.name() for symbol in symbols)
         bounds = bounds_within(term, moving, ends, dae.p)
@@ -65,8 +67,6 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
             known.append(term)
             rows.append(bounds)
             names.append(name)
-    if not terms:
-        return None
     columns = [ca.densify(ca.vertcat(SX(0, 1), *column)) for column in zip(*rows, strict=True)]
     values = ca.densify(ca.vertcat(SX(0, 1), *known))
     return SeveralTerms(

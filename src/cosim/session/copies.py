@@ -48,8 +48,11 @@ class Engine(Protocol):
     def save(self) -> dict[str, Vector]:
         """Return the state as arrays by name."""
 
+    def fits(self, arrays: Mapping[str, Vector]) -> bool:
+        """Tell whether arrays may be the saved state of as many copies of the model."""
+
     def restore(self, arrays: Mapping[str, Vector]) -> None:
-        """Set a saved state."""
+        """Set a saved state, which fits."""
 
 
 class Copies:
@@ -75,13 +78,12 @@ class Copies:
     def __init__(
         self, engine: Engine, count: int, values: Mapping[str, Any], start_time: float
     ) -> None:
-        self._engine = engine
+        self._engine: Engine | None = engine  # none once closed
         self._count = count
         given = _given(engine.name, values)
         self._start_values = {n: v if np.ndim(v) == 0 else np.array(v) for n, v in given.items()}
         self._start_time = start_time
         self._clock = Clock(start_time, start_time)
-        self._closed = False
         self.name = engine.name
         self.inputs, self.outputs, self.states = engine.inputs, engine.outputs, engine.states
         self.reset()
@@ -100,8 +102,7 @@ class Copies:
 
     def close(self) -> None:
         """Free the copies; nothing but `close` may be called afterwards."""
-        self._closed = True
-        vars(self).pop("_engine", None)
+        self._engine = None
 
     @property
     def time(self) -> float:
@@ -234,15 +235,15 @@ class Copies:
         Sessions whose runs have ended are saved without their values, which are NaN afterwards.
         """
         content = io.BytesIO()
-        reasons, invalid = self._require().reasons, self._engine.invalid
-        texts = {"reasons": reasons, "invalid": invalid}
+        engine = self._require()
+        texts = {"reasons": engine.reasons, "invalid": engine.invalid}
         lists = {
             f"{name}_{part}": np.array(list(column))
             for name, found in texts.items()
             for part, column in (("at", found.keys()), ("text", found.values()))
         }
         facts = {"model": np.array(self.name), "clock": np.array(astuple(self._clock))}
-        arrays = {**facts, **lists, **self._engine.save()}
+        arrays = {**facts, **lists, **engine.save()}
         np.savez(content, allow_pickle=False, **arrays)  # checksums of a ZIP archive
         return content.getvalue()
 
@@ -262,7 +263,12 @@ class Copies:
             texts = [arrays.pop(f"{n}_{p}") for n in ("reasons", "invalid") for p in ("at", "text")]
         except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
             raise UsageError(f"{self.name}: these bytes are no saved copies, or damaged") from error
-        engine.restore(self._fitting(model, arrays))
+        if model != self.name or not engine.fits(arrays):
+            raise UsageError(
+                f"{self.name}: these bytes were saved by copies of another model, or by another "
+                "number of them"
+            )
+        engine.restore(arrays)
         self._clock = Clock(float(now), float(first), float(length), int(count))
         engine.reasons, engine.invalid = (
             dict(zip(at.astype(int).tolist(), text.tolist(), strict=True))
@@ -271,22 +277,8 @@ class Copies:
 
     # -- checks -------------------------------------------------------------------------------
 
-    def _fitting(self, model: str, arrays: dict[str, Vector]) -> dict[str, Vector]:
-        """Return saved arrays, which must be those of as many copies of the model."""
-        present = self._engine.save()
-        same = model == self.name and arrays.keys() == present.keys()
-        if not same or any(
-            (arrays[name].shape, arrays[name].dtype) != (present[name].shape, present[name].dtype)
-            for name in arrays.keys() - {"content"}
-        ):
-            raise UsageError(
-                f"{self.name}: these bytes were saved by copies of another model, or by another "
-                "number of them"
-            )
-        return arrays
-
     def _require(self) -> Engine:
-        if self._closed:
+        if self._engine is None:
             raise FmuError(f"{self.name}: the copies are closed; open them again")
         return self._engine
 

@@ -134,7 +134,6 @@ class LaneCopies:
                 if outside:
                     self.invalid.setdefault(number, outside)
         self._known = known
-        self._now = float(grid[-1])
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Engine.set`."""
@@ -181,6 +180,11 @@ class LaneCopies:
     def save(self) -> dict[str, Vector]:
         """Return the state as arrays; see `Engine.save`."""
         return dict(self._rows)
+
+    def fits(self, arrays: Mapping[str, Vector]) -> bool:
+        """Tell whether arrays may be a saved state; see `Engine.fits`."""
+        shapes = ({n: (a.shape, a.dtype) for n, a in rows.items()} for rows in (arrays, self._rows))
+        return next(shapes) == next(shapes)
 
     def restore(self, arrays: Mapping[str, Vector]) -> None:
         """Set a saved state; see `Engine.restore`."""

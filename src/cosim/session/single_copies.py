@@ -96,6 +96,11 @@ class SingleCopies:
         lengths = np.array([len(content) for content in saved])
         return {"lengths": lengths, "content": np.frombuffer(b"".join(saved), dtype=np.uint8)}
 
+    def fits(self, arrays: Mapping[str, Vector]) -> bool:
+        """Tell whether arrays may be a saved state; see `Engine.fits`."""
+        known = arrays.keys() == {"lengths", "content"}
+        return known and arrays["lengths"].shape == (len(self._sessions),)
+
     def restore(self, arrays: Mapping[str, Vector]) -> None:
         """Set a saved state; see `Engine.restore`."""
         ends = np.cumsum(arrays["lengths"])
