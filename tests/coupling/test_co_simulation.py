@@ -38,7 +38,7 @@ CASES.remove("cut_pendulum 1e-08")  # beyond the rounding of its stiff hinge
 SAMPLE = ["ride 1e-06", "loop 1e-08", "quarter_car 0.001"]
 
 
-@pytest.mark.slow_rows("ride 1e-06", "quarter_car 0.001", "loop 1e-08")
+@pytest.mark.slow
 @pytest.mark.parametrize("case", sampled(CASES, SAMPLE))
 def test_error_is_at_most_what_was_asked_for(case):
     name, accuracy = case.split()[0], float(case.split()[1])

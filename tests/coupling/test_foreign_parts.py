@@ -66,7 +66,7 @@ def test_part_that_fails_is_named_with_its_status(way, status, word, tmp_path):
         system.simulate(**way)
 
 
-@pytest.mark.quick_rows("hang")
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize(
     ("fault", "limit", "words"),

@@ -32,7 +32,7 @@ def assert_accurate(system, exact_at):
         assert run.stats["error_estimate"] <= accuracy
 
 
-@pytest.mark.slow_rows("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_smooth_systems_are_as_accurate_as_asked(seed):
     drawn = RandomSystem(seed)
@@ -40,7 +40,7 @@ def test_smooth_systems_are_as_accurate_as_asked(seed):
     assert_accurate(system, drawn.solution)
 
 
-@pytest.mark.slow_rows("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_parts_with_kinks_jumps_and_friction_agree_with_the_one_model(seed):
     drawn = RandomSystem(seed, relations=True)
@@ -58,7 +58,7 @@ def test_parts_with_kinks_jumps_and_friction_agree_with_the_one_model(seed):
     assert_accurate(system, lambda _times: exact)
 
 
-@pytest.mark.slow_rows("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_files_of_others_with_fewer_abilities_are_as_accurate_as_asked(seed, tmp_path):
     drawn, random, parts = RandomSystem(seed), Random(seed), {}

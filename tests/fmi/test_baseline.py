@@ -30,7 +30,7 @@ def binaries(fmu, folder):
         return [Path(archive.extract(name, folder)) for name in inside]
 
 
-@pytest.mark.quick_rows("win64")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("compiler", "platform"),
     [

@@ -105,7 +105,7 @@ def test_every_switch_is_found_at_its_time(case, way):
         assert len(run.events) == pytest.approx(count, abs=1)  # one may be at the end
 
 
-@pytest.mark.quick_rows("ModelExchange 2")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "way", [pytest.param("ModelExchange 2", marks=pytest.mark.slow), *FMUS[1:]]
 )

@@ -21,7 +21,7 @@ def test_random_calls_do_no_harm(fuzzer, solver, version):
     check(fuzzer(solver, version, *SANITIZED), seed=1, calls=20_000)
 
 
-@pytest.mark.slow_rows("dop853-2")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "version"),
     [("dop853", 2), *(pytest.param(s, v, marks=pytest.mark.slow)

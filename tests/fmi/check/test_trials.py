@@ -79,18 +79,7 @@ def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
     assert passed == {trial.__name__ for trial in TRIALS} - unneeded(fmi)
 
 
-@pytest.mark.slow_rows(
-    "crank_shaft/multipliers-2",
-    "crank_shaft/multipliers-3",
-    "bar_on_frame/reduced-2",
-    "bar_on_frame/reduced-3",
-    "bicycle/multipliers-2",
-    "bicycle/multipliers-3",
-    "disk_two_bars/reduced-2",
-    "disk_two_bars/reduced-3",
-    "double_pendulum/quaternion-2",
-    "double_pendulum/quaternion-3",
-)
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", sampled(casadi_models.CATALOG))
 def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compiler(

@@ -315,7 +315,7 @@ cosim.export_fmu(decay(rate=float(sys.argv[2])), sys.argv[1])
 """
 
 
-@pytest.mark.slow_rows("warm")
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize(
     "compiled", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["warm", "cold"]
