@@ -48,20 +48,25 @@ NEAR = 1e-5  # s; rows so near a switch may lie on either side of it
 LARGEST = 20.0  # of a course that does not grow
 
 
-class Case(NamedTuple):
-    """A way to simulate one system, and its exact values.
+class Course(NamedTuple):
+    """What a system does.
 
     Attributes:
-        run: Simulates it with an accuracy.
         exact: Values by name, at the times of `time`.
         time: s.
         switches: Times of events, s.
     """
 
-    run: Callable[[float], cosim.Trajectory]
     exact: dict[str, np.ndarray]
     time: np.ndarray
     switches: np.ndarray
+
+
+class Case(NamedTuple):
+    """A way to simulate one system with an accuracy, and what the system does."""
+
+    run: Callable[[float], cosim.Trajectory]
+    course: Course
 
 
 def _simulated(subject: object, **facts: object) -> Callable[[float], cosim.Trajectory]:
@@ -86,7 +91,10 @@ def _smooth(seed: int, kind: str) -> Case | None:
         drawn.parts, drawn.connections, abilities=abilities if kind == "foreign" else {}
     )
     subject = system.dae if kind == "smooth" else system
-    return Case(_simulated(subject, stop_time=SPAN, output_interval=0.02), exact, time, np.empty(0))
+    return Case(
+        _simulated(subject, stop_time=SPAN, output_interval=0.02),
+        Course(exact, time, np.empty(0)),
+    )
 
 
 def _hybrid(seed: int) -> Case:
@@ -95,10 +103,14 @@ def _hybrid(seed: int) -> Case:
     columns = zip(FAMILIES[family].names, drawn.course.values.T, strict=False)
     switches = np.array([time for time, _ in drawn.course.events])
     facts = {"start_values": drawn.numbers}
-    return Case(_simulated(model_of(family), **facts), dict(columns), drawn.course.time, switches)
+    return Case(
+        _simulated(model_of(family), **facts),
+        Course(dict(columns), drawn.course.time, switches),
+    )
 
 
-def _exact(law: LinearHybrid, start: list[float], names: dict[str, int]) -> Case | None:
+def _course(law: LinearHybrid, start: list[float], names: dict[str, int]) -> Course | None:
+    """Return the exact course of a law; None if it hangs on rounding or grows."""
     try:
         course = law.course(np.array(start, dtype=float), STOP)
     except TooManyEvents:
@@ -106,8 +118,7 @@ def _exact(law: LinearHybrid, start: list[float], names: dict[str, int]) -> Case
     if min(course.margin, course.gap) <= ENOUGH or np.abs(course.values).max() > LARGEST:
         return None
     exact = {name: course.values[:, place] for name, place in names.items()}
-    switches = np.array([time for time, _ in course.events])
-    return Case(lambda _: None, exact, course.time, switches)
+    return Course(exact, course.time, np.array([time for time, _ in course.events]))
 
 
 def _part(name: str) -> cosim.Model:
@@ -133,7 +144,7 @@ def _relay(seed: int) -> Case | None:
         When("off", np.array([0, 1, 0, -high]), becomes(0)),
         When("on", np.array([0, -1, 0, low]), becomes(1)),
     ]
-    found = _exact(
+    found = _course(
         LinearHybrid(flow, (), whens), [0, 0, 1, 1], {"room.T": 0, "room.R": 1, "relay.q": 2}
     )
     if found is None:
@@ -149,7 +160,7 @@ def _relay(seed: int) -> Case | None:
     relay.when(seen < low, {q: 1}, name="on")
     parts = {"room": room.freeze(), "relay": relay.freeze()}
     system = cosim.couple(parts, {"room.on": "relay.q", "relay.seen": "room.R"})
-    return found._replace(run=_simulated(system))
+    return Case(_simulated(system), found)
 
 
 def _sampled(seed: int) -> Case | None:
@@ -161,7 +172,7 @@ def _sampled(seed: int) -> Case | None:
     flow[0, 1], flow[1] = 1, [-k, -d, 1, 0]
     new = np.eye(4)
     new[2] = [-g, 0, 0, 0]
-    found = _exact(
+    found = _course(
         LinearHybrid(flow, (), (), [Every("sample", period, new)]),
         [x0, 0, 0, 1],
         {"plant.x": 0, "plant.v": 1, "control.h": 2},
@@ -178,13 +189,13 @@ def _sampled(seed: int) -> Case | None:
     control.every(period, {h: -g * seen}, name="sample")
     parts = {"plant": plant.freeze(), "control": control.freeze()}
     system = cosim.couple(parts, {"plant.force": "control.h", "control.seen": "plant.x"})
-    return found._replace(run=_simulated(system))
+    return Case(_simulated(system), found)
 
 
 def _spring(seed: int, *, play: bool = False) -> Case:
     spring = SpringWithGap(seed, play=play)
     time = np.linspace(0, STOP, 201)
-    return Case(_simulated(spring.system(STOP)), spring.solution(time), time, np.empty(0))
+    return Case(_simulated(spring.system(STOP)), Course(spring.solution(time), time, np.empty(0)))
 
 
 KINDS: dict[str, Callable[[int], Case | None]] = {
@@ -210,18 +221,18 @@ def cases(kind: str, first: int, count: int) -> Iterator[tuple[int, Case]]:
         seed += 1
 
 
-def true_error(case: Case, run: cosim.Trajectory) -> float:
+def true_error(course: Course, run: cosim.Trajectory) -> float:
     """Return the largest error of a run, by nominal values of 1; NaN where its rows differ."""
-    if len(run) != len(case.time) or not np.allclose(run.time, case.time, rtol=0, atol=1e-9):
-        at = np.searchsorted(run.time, case.time - 1e-9)
-        if at.max() >= len(run) or not np.allclose(run.time[at], case.time, rtol=0, atol=1e-9):
+    if len(run) != len(course.time) or not np.allclose(run.time, course.time, rtol=0, atol=1e-9):
+        at = np.searchsorted(run.time, course.time - 1e-9)
+        if at.max() >= len(run) or not np.allclose(run.time[at], course.time, rtol=0, atol=1e-9):
             return np.nan
     else:
         at = np.arange(len(run))
     clear = np.ones(len(at), dtype=bool)
-    if case.switches.size:
-        clear = np.abs(np.subtract.outer(case.time, case.switches)).min(axis=1) > NEAR
-    return max(np.abs(run[n][at] - right)[clear].max() for n, right in case.exact.items())
+    if course.switches.size:
+        clear = np.abs(np.subtract.outer(course.time, course.switches)).min(axis=1) > NEAR
+    return max(np.abs(run[n][at] - right)[clear].max() for n, right in course.exact.items())
 
 
 def main() -> None:
@@ -244,7 +255,7 @@ def main() -> None:
                     found[accuracy].append(None)
                     print(f"{kind} {seed} at {accuracy:g} refused: {error}"[:150], file=sys.stderr)
                     continue
-                error = true_error(case, run)
+                error = true_error(case.course, run)
                 estimate = run.stats["error_estimate"]
                 found[accuracy].append((error, estimate))
                 if not error <= accuracy or error > estimate:
