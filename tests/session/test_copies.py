@@ -203,6 +203,8 @@ def test_saved_copies_of_another_model_or_number_are_refused():
 def test_start_values_that_cannot_be_are_named_with_their_copy():
     with pytest.raises(ParameterError, match="copy 1: "):
         cosim.open(decay(), copies=2, start_values={"rate": [1.0, -1.0]})
+    with pytest.raises(ParameterError, match="rate has the shape"):
+        cosim.open(decay(), copies=3, start_values={"rate": [1.0, 2.0]})
     with pytest.raises(UsageError, match="positive whole number"):
         cosim.open(decay(), copies=0)
 

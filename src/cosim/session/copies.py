@@ -80,11 +80,11 @@ class Copies:
     ) -> None:
         self._engine: Engine | None = engine  # none once closed
         self._count = count
-        given = _given(engine.name, values)
-        self._start_values = {n: v if np.ndim(v) == 0 else np.array(v) for n, v in given.items()}
+        self.name = engine.name
+        given = _given(self.name, values)
+        self._start_values = {n: self._column(n, v, count) for n, v in given.items()}
         self._start_time = start_time
         self._clock = Clock(start_time, start_time)
-        self.name = engine.name
         self.inputs, self.outputs, self.states = engine.inputs, engine.outputs, engine.states
         self.reset()
 
@@ -147,7 +147,7 @@ class Copies:
         engine = self._require()
         rows = self._rows(only)
         usual = {
-            name: value if np.ndim(value) == 0 else np.asarray(value)[rows]
+            name: value if np.ndim(value) == 0 else value[rows]
             for name, value in self._start_values.items()
         }
         values = {
