@@ -24,7 +24,7 @@
 
 #include "margins.h"
 
-enum { STAGES = 12, END = STAGES, EXTENDED = 16, REPORT = 8 };
+enum { STAGES = 12, END = STAGES, EXTENDED = 16, REPORT = 9 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
 #define MOST_TRIALS 100000 /* per output interval */
@@ -66,6 +66,7 @@ typedef struct {
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
     int rejected[LANES], final[LANES];
     double spent[LANES], left[LANES]; /* when a limit was left first; infinite: never */
+    double straight[LANES];           /* until when the motion from the start is a line in time */
     int limit[LANES];
     double *kept; /* needed states by lane, state and time */
     long long stride;
@@ -159,6 +160,7 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     report[5] = self->spent[lane];
     report[6] = left;
     report[7] = self->limit[lane];
+    report[8] = self->straight[lane];
     if (batch->steps) batch->steps[run] = self->planned[lane];
     self->run[lane] = -1;
     self->h[lane] = 0;
@@ -266,6 +268,7 @@ static int refill(Lanes *self, const Batch *batch) {
             self->calls[l] = 2;
             self->rejected[l] = 0;
             self->spent[l] = 0;
+            self->straight[l] = batch->grid[0];
             self->left[l] = INFINITY;
             self->limit[l] = -1;
             fresh[l] = -1;
@@ -359,6 +362,17 @@ static void sample(Lanes *self, const Batch *batch, int lane, double after) {
     }
 }
 
+/* Notes the lanes whose motion, a line in time from the start, goes on as one to the tolerance. */
+static void note_straight(Lanes *self, const Batch *batch, M good, V after) {
+    int some = 0;
+    FOR_LANES some |= good[l] && self->straight[l] == self->t[l];
+    if (!some) return;
+    for (int i = 0; i < NX; ++i) self->sum[i] = self->h * (self->k[END][i] - self->k[0][i]);
+    const V bend = norm(self, batch, self->sum, self->x);
+    FOR_LANES if (good[l] && self->straight[l] == self->t[l] && bend[l] <= 1) self->straight[l] =
+        after[l];
+}
+
 /* One step of all lanes. */
 static void step(Lanes *self, const Batch *batch) {
     const double stop = batch->grid[batch->points - 1], span = stop - batch->grid[0];
@@ -394,6 +408,7 @@ static void step(Lanes *self, const Batch *batch) {
         if (wants) self->calls[l] += EXTENDED - STAGES - 1;
         dense |= wants;
     }
+    note_straight(self, batch, good, after);
     if (dense) interpolants(self);
     if (some) look(self, looks, after);
     const V change = every(0.9) / eighth_root(error), least = every(1.0 / 3);

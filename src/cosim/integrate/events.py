@@ -27,6 +27,7 @@ from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, with_note_on_steps
 from cosim.integrate.saltation import crossed, slid_derivatives
+from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
@@ -56,12 +57,12 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         longest = min(longest, solver.max_step)
     pulses = pulse_times(smooth, start.values.p, *span, longest)
 
-    def attempt(solver: Solver, grid: Vector, ends: Vector) -> Motion:
+    def attempt(closer: Closer | None, grid: Vector, ends: Vector) -> Motion:
         own = replace(problem, times=grid.tobytes())
-        if system is not None or breaks or len(pulses) or len(ends):
+        if system is not None or breaks or len(pulses) or len(ends) or closer:
             no_events = Hybrid(problem.dae, (), (), ())
-            every = np.union1d(pulses, ends)
-            return _Course(own, system or no_events, solver, start, every).run()
+            every = np.union1d(pulses, [*ends, closer.until] if closer else ends)
+            return _Course(own, system or no_events, solver, start, every, closer).run()
         found = scaled_call(own, solver, start)
         u = input_values(problem.dae, grid, start.values, problem.inputs)
         n = found.states.shape[1]
@@ -69,11 +70,11 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         return Motion(problem.dae, grid[:n], *columns, found.counts, found.reason, found.solve_time)
 
     if not isinstance(solver, AdaptiveSolver):
-        motion = attempt(solver, problem.grid, np.empty(0))
+        motion = attempt(None, problem.grid, np.empty(0))
         return with_note_on_steps(motion, start.values.p)
     return followed_growth(
-        lambda own: attentive(
-            partial(attempt, own), problem.grid, start.values.p, own.tolerance.pair[0]
+        lambda closer: attentive(
+            partial(attempt, closer), problem.grid, start.values.p, solver.tolerance.pair[0]
         ),
         solver,
         start.values.p,
@@ -84,9 +85,15 @@ class _Course:
     """A run of a hybrid model on its way over the grid."""
 
     def __init__(
-        self, problem: Problem, system: Hybrid, solver: Solver, start: InitialState, pulses: Vector
+        self,
+        problem: Problem,
+        system: Hybrid,
+        solver: Solver,
+        start: InitialState,
+        pulses: Vector,
+        closer: Closer | None,
     ) -> None:
-        self.problem, self.system, self.solver = problem, system, solver
+        self.problem, self.system, self.solver, self.closer = problem, system, solver, closer
         self.dae, self.grid = problem.dae, problem.grid
         self.values, self.began = start.values, start.x
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
@@ -253,13 +260,20 @@ class _Course:
             looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
             own_problem = replace(problem, times=looks.tobytes())
             start = self.at, self.began, self.values.p, self.kernel
-            piece = Piece(self.system, own, own_problem, self.solver, *start)
+            piece = Piece(self.system, own, own_problem, self._solver(), *start)
             self.reached.append(piece.reached)
             steps = (piece.reached.counts.steps or 0) / len(looks)
             enough = steps <= _STEPS_PER_LOOK or piece.reached.watched or piece.reason
             if enough or not self.system.of_states:
                 return piece
             self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)
+
+    def _solver(self) -> Solver:
+        """Return the solver for what follows the present instant."""
+        closer, solver = self.closer, self.solver
+        if closer and self.at.t < closer.until and isinstance(solver, AdaptiveSolver):
+            return replace(solver, absolute_tolerance=closer.absolute)
+        return solver
 
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before the last of them."""

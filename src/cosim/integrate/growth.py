@@ -1,151 +1,73 @@
-"""`followed_growth`: a motion in which no unstable deviation is kept from growing.
+"""`followed_growth`: a motion in which no unstable deviation is kept from growing."""
 
-Near an unstable equilibrium a deviation grows from far below the absolute tolerance. The error
-control does not see it there: steps become longer than the time of growth, and an implicit one
-suppresses it. Where the motion is a straight line to the tolerance, the eigenvalues tell how far
-the deviation would have grown; to be seen from the beginning, it needs a smaller tolerance.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
+from cosim.codegen.functions import equations
+from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
+from cosim.model.growth import Closer, StatePath, growth_along, suppressed_growth
 from cosim.model.solver import AdaptiveSolver
 from cosim.model.values import own_sizes
 
-_EPS = float(np.finfo(float).eps)
-_ROUNDINGS = 4  # of the rates, within which a push may be rounding
-_FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
-_MOST_EXPONENT = 600.0
-
-
-class Growth(NamedTuple):
-    """A deviation that grows unseen.
-
-    Attributes:
-        state: Name of the state in which it is largest.
-        time: When it begins, s.
-        growth_time: In which it grows by the factor e, s.
-        size: Its size at the beginning, in nominal values.
-    """
-
-    state: str
-    time: float
-    growth_time: float
-    size: float
-
 
 def followed_growth(
-    run: Callable[[AdaptiveSolver], Motion], solver: AdaptiveSolver, p: Vector
+    run: Callable[[Closer | None], Motion], solver: AdaptiveSolver, p: Vector
 ) -> Motion:
-    """Return the motion of a solver, or of one with a smaller tolerance where deviations need it.
+    """Return the motion of a solver, or one with a smaller tolerance where deviations need it.
 
     Args:
-        run: Integrates with a solver.
+        run: Integrates, the first part with a smaller tolerance.
         solver: The solver.
         p: Parameters.
     """
-    motion = run(solver)
+    motion = run(None)
+    if motion.reason:
+        return motion
     relative, absolute = solver.tolerance.pair
-    growth = suppressed_growth(motion, p, relative, absolute)
+    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
+    growth = suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
     if growth is None:
         return motion
-    smaller = relative * growth.size
-    closer = run(replace(solver, absolute_tolerance=smaller))
-    advice = f"ran with absolute_tolerance {smaller:.2g}, so that it is followed"
-    if closer.reason:
-        closer, advice = motion, f"it may be suppressed; give absolute_tolerance {smaller:.2g}"
-    text = (
-        f"from {growth.time:.6g} s on, a deviation of {growth.size:.2g} nominal values of "
-        f"{growth.state} grows by e every {growth.growth_time:.3g} s; {advice}"
-    )
-    return replace(closer, note="; ".join(filter(None, (closer.note, text))))
+    closer = growth.closer(relative)
+    followed = run(closer)
+    found = motion if followed.reason else followed
+    text = growth.note(closer, found is followed)
+    return replace(found, note="; ".join(filter(None, (found.note, text))))
 
 
-def suppressed_growth(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:
-    """Return the smallest deviation that would become visible, but has not been followed.
+def _path(motion: Motion, sizes: Vector, p: Vector) -> StatePath:
+    """Return the path of a motion; unknowns and inputs are those of the row before a place."""
 
-    Args:
-        motion: Result of a solver with error control.
-        p: Parameters.
-        relative, absolute: Its tolerances; the absolute one in nominal values.
-    """
-    if motion.reason or len(motion.time) < 2 or not motion.dae.states:
-        return None
-    rows = _rows_per_step(motion)
-    sizes = own_sizes(motion.dae, motion.states[:, 0])
-    found = [
-        growth
-        for first, last in _straight(motion, rows, relative, absolute * sizes, p)
-        if (growth := _growth(motion, first, last, p, absolute, sizes))
-    ]
-    return min(found, key=lambda growth: growth.size, default=None)
+    def rates(times: Vector, states: Vector) -> Vector:
+        z, u = _known(motion, times)
+        at = replace(motion, time=times, states=states, algebraics=z, u=u)
+        return rates_at(at, slice(None), p)
+
+    def slopes(time: float, states: Vector) -> Vector:
+        return _slopes(motion.dae, (time, states, *_known(motion, np.array([time])), p))
+
+    names = [state.name for state in motion.dae.states]
+    return StatePath(names, motion.time, motion.states, sizes, rates, slopes)
 
 
-def _rows_per_step(motion: Motion) -> Vector:
-    """Return rows that are about a step of the solver apart, in which it is never straight."""
-    t, steps = motion.time, max(motion.counts.steps or 0, 1)
-    wanted = np.linspace(t[0], t[-1], min(len(t), steps + 1))
-    return np.unique(np.clip(t.searchsorted(wanted), 0, len(t) - 1))
+def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
+    """Return the algebraic unknowns and the inputs of the rows at or before times."""
+    rows = motion.time.searchsorted(times, "right") - 1
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
+    return motion.algebraics[:, rows], u[:, rows]
 
 
-def _straight(
-    motion: Motion, rows: Vector, relative: float, absolute: Vector, p: Vector
-) -> list[tuple[int, int]]:
-    """Return spans, by their first and last row, in which all states are lines in time."""
-    t, x = motion.time[rows], motion.states[:, rows]
-    gaps = np.diff(t)
-    slopes = np.diff(x, axis=1) / gaps
-    if len(gaps) == 1:
-        before = rates_at(motion, rows[:1], p)
-    else:
-        before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
-    least = relative * np.abs(x[:, 1:]) + absolute[:, None]
-    calm = np.concatenate(([0], (np.abs((slopes - before) * gaps) <= least).all(axis=0), [0]))
-    edges = np.flatnonzero(np.diff(calm)).reshape(-1, 2)
-    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(gaps))]
-    longest = sorted(edges.tolist(), key=lambda span: t[span[0]] - t[span[1]])[:_MOST_SPANS]
-    return [(int(rows[first]), int(rows[last])) for first, last in longest]
-
-
-def _growth(
-    motion: Motion, first: int, last: int, p: Vector, absolute: float, sizes: Vector
-) -> Growth | None:
-    t = motion.time
-    slopes = _slopes(motion, first, p) * sizes / sizes[:, None]
-    if not np.isfinite(slopes).all():
-        return None
-    values, left = np.linalg.eig(slopes.T)
-    growing = values.real * (t[last] - t[first]) > 1
-    if not growing.any():
-        return None
-    rows = np.unique([first, (first + last) // 2, last])
-    f = rates_at(motion, rows, p) / sizes[:, None]
-    rounding = _EPS * np.abs(slopes) @ np.abs(motion.states[:, rows] / sizes[:, None])
-    found = list[Growth]()
-    for value, direction in zip(values[growing], left.T[growing], strict=True):
-        push = np.abs(direction @ f)
-        push = push[push > _ROUNDINGS * np.abs(direction) @ rounding]
-        rate, size = float(value.real), float(push.min(initial=np.inf)) / abs(value)
-        seen = size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute
-        if len(push) and seen:
-            state = motion.dae.states[int(np.argmax(np.abs(direction)))].name
-            found.append(Growth(state, float(t[first]), 1 / rate, size))
-    return min(found, key=lambda growth: growth.size, default=None)
-
-
-def _slopes(motion: Motion, row: int, p: Vector) -> Vector:
-    """Return the derivatives of the rates with respect to the states at a row, (nx, nx)."""
-    u = motion.u[:, min(row, motion.u.shape[1] - 1)]
-    at = motion.time[row], motion.states[:, row], motion.algebraics[:, row], u, p
-    of_x, of_z, *closing = (np.array(block) for block in _blocks(motion.dae)(*at))
+def _slopes(dae: Dae, at: Sequence[Any]) -> Vector:
+    """Return the derivatives of the rates with respect to the states at (t, x, z, u, p)."""
+    of_x, of_z, *closing = (np.array(block) for block in _blocks(dae)(*at))
     if not closing:
         return np.asarray(of_x)
     try:
@@ -160,3 +82,34 @@ def _blocks(dae: Dae) -> ca.Function:
     laws = [dae.ode, dae.alg] if dae.algebraics else [dae.ode]
     blocks = [ca.densify(ca.jacobian(law, of)) for law in laws for of in (dae.x, dae.z)]
     return ca.Function("blocks", dae.arguments, blocks, {"cse": True})
+
+
+def growing_starts(
+    dae: Dae, starts: Sequence[Vector], span: tuple[float, Vector, float], absolute: float
+) -> Truths:
+    """Return in which runs a deviation from a motion that begins as a line grows unseen, (runs,).
+
+    Args:
+        dae: A model without algebraic unknowns.
+        starts: Initial and nominal values of the states, inputs, parameters: (runs, nx) twice,
+            (runs, nu), (runs, np).
+        span: Begin of the runs, how long each is a line, (runs,), and their end, s.
+        absolute: Absolute tolerance, in nominal values.
+    """
+    x, sizes, u, p = (rows.T for rows in starts)
+    begin, straight, end = span
+    found = np.zeros(len(straight), dtype=bool)
+    if not found.size:
+        return found
+    known = begin, x, np.empty((0, 1)), u, p
+    rate, of_x = (np.array(law(*known)[0]) for law in (equations(dae), _blocks(dae)))
+    slopes = of_x.reshape(len(x), len(found), len(x)).transpose(1, 0, 2)
+    slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0
+    fastest = np.linalg.eigvals(slopes).real.max(axis=1)
+    for i in np.flatnonzero(fastest * (straight - begin) > 1):
+        at = np.array([begin, straight[i], end])
+        line = x[:, [i]] + rate[:, [i]] * (at - begin)
+        motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], Counts())
+        path = _path(motion, sizes[:, i], p[:, i])
+        found[i] = growth_along(path, 0, 1, absolute) is not None
+    return found

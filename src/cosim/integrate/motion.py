@@ -62,7 +62,7 @@ class Motion:
     note: str = ""
 
 
-def rates_at(motion: Motion, rows: Vector, p: Vector) -> Vector:
+def rates_at(motion: Motion, rows: Vector | slice, p: Vector) -> Vector:
     """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
     t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
     u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]

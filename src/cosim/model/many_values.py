@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae, Start
-from cosim.arrays import Vector
+from cosim.arrays import Integers, Vector
 from cosim.errors import CosimError, ParameterError, UsageError
 from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.model.values import assign, inertias, unphysical, usual_numbers
@@ -32,6 +32,11 @@ class ManyValues:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def select(self, runs: Integers) -> "ManyValues":
+        """Return the values of some runs, given by their positions, none of which is refused."""
+        given = {name: column[runs] for name, column in self.given.items()}
+        return ManyValues(given, self.x[runs], self.p[runs], self.u[runs], {})
 
 
 def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, Vector]:

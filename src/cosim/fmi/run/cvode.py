@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fmpy.sundials import CVodeSolver
+from fmpy.sundials.cvode import CVodeSVtolerances
 from fmpy.sundials.libraries import sundials_cvode
 
 USUAL_STEPS = 500  # of fmpy and of CVODE, from one output time to the next
@@ -65,18 +66,25 @@ class Cvode(CVodeSolver):  # type: ignore[misc]
             Exception: CVODE failed, or a call of the FMU did.
             KeyboardInterrupt: The user pressed Ctrl-C.
         """
-        before = self._steps()
+        before = self.steps
         try:
             found: tuple[bool, Any, float] = super().step(time, target)
         except Exception as error:
             if self._interrupts:
                 raise KeyboardInterrupt from error
             raise self._error or error from None
-        if self.many_steps is None and self._steps() - before > USUAL_STEPS:
+        if self.many_steps is None and self.steps - before > USUAL_STEPS:
             self.many_steps = time, target
         return found
 
-    def _steps(self) -> int:
+    def reset(self, time: float) -> None:
+        """Start afresh with present nominal values, which fmpy reads but does not use."""
+        super().reset(time)
+        CVodeSVtolerances(self.cvode_mem, self.reltol, self.abstol)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps since the last event."""
         count = ctypes.c_long()
         _step_count(self.cvode_mem, ctypes.byref(count))
         return count.value

@@ -4,6 +4,7 @@ import ctypes
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import StrEnum
 from math import isfinite
 from operator import attrgetter
@@ -14,6 +15,7 @@ from weakref import finalize
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
@@ -21,6 +23,7 @@ from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
+from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
     Interface,
     asks_for_inputs,
@@ -31,11 +34,12 @@ from cosim.fmi.run.instance import (
     read_description,
     why_it_ended,
 )
-from cosim.fmi.run.python_master import run_in_python
-from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
+from cosim.fmi.run.python_master import Clock, run_in_python
+from cosim.fmi.run.request import FmuRequest, MasterRun
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
+from cosim.model.growth import Growth
 from cosim.text import Violation
 from cosim.trajectory import Event, Trajectory
 
@@ -68,7 +72,23 @@ class OpenedFmu:
         return FmuRequest.of(self.description, self.interface, self.path, **keywords)
 
     def run(self, request: FmuRequest, master: Master = Master.FMPY) -> Trajectory:
-        """Run it once more, from its initial state."""
+        """Run it once more, from its initial state.
+
+        Where a deviation grows unseen in model exchange, it runs again with a smaller absolute
+        tolerance.
+        """
+        run, growth = self._run(request, master)
+        if growth is None:
+            return run
+        closer = growth.closer(request.relative_tolerance)
+        try:
+            found, _ = self._run(replace(request, closer=closer), master)
+        except FmuError:
+            found = run
+        notes = found.stats.get("note"), growth.note(closer, found is not run)
+        return replace(found, stats={**found.stats, "note": "; ".join(filter(None, notes))})
+
+    def _run(self, request: FmuRequest, master: Master) -> tuple[Trajectory, Growth | None]:
         began = perf_counter()
         instance: Any
         driven = request.inputs is not None and self.interface is Interface.CO_SIMULATION
@@ -106,7 +126,7 @@ class OpenedFmu:
             "solve_time": done - ready,
             "wall_time": done - began,
         }
-        return Trajectory(
+        run = Trajectory(
             self.description.modelName,
             found.times,
             request.columns,
@@ -115,6 +135,7 @@ class OpenedFmu:
             numbers=request.numbers,
             events=tuple(Event(time, name, {}, {}) for time, name in instance.logged_events),
         )
+        return run, found.growth
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
@@ -217,11 +238,18 @@ class CompiledMaster:
             interval=request.interval,
             any_step=exchange or description.coSimulation.canHandleVariableCommunicationStepSize,
         )
-        nominals = _prepare_exchange(run, instance, request) if exchange else None
+        deviations: Deviations | None = None
+        if exchange:
+            nominals = _prepare_exchange(instance, request, run)
+            run.nominals = nominals.ctypes.data
+            deviations = Deviations(instance, request, Clock(instance, request))
+            deviations.note(request.start)
         with interruptible(library) as interrupts:
             library.run_fmu(ctypes.byref(run))
-        del nominals
         reject_failure(run, interrupts, request.stop)
+        if deviations and not run.events:
+            deviations.note(run.time)
+            deviations.judge(run.steps)
         instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
@@ -230,11 +258,11 @@ class CompiledMaster:
             stats["stop_time"] = run.time
         if exchange:
             stats["rhs_calls"] = run.calls
-        return MasterRun(points, rows, stats)
+        return MasterRun(points, rows, stats, deviations.found if deviations else None)
 
 
-def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
-    """Fill in what model exchange needs; return the nominal values, which `run` points to."""
+def _prepare_exchange(instance: Any, request: FmuRequest, run: Run) -> Vector:
+    """Fill in what model exchange needs, but for the nominal values that are returned."""
     description = request.description
     next_event = enter_continuous_time(instance)
     run.states = n = description.numberOfContinuousStates
@@ -242,12 +270,14 @@ def _prepare_exchange(run: Run, instance: Any, request: FmuRequest) -> Any:
     run.needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
     run.next_defined = isfinite(next_event)
     run.next_event = next_event if isfinite(next_event) else 0.0
-    tolerance = request.tolerance
-    run.relative_tolerance = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    nominals = (ctypes.c_double * (n + 1))(*([1.0] * (n + 1)))
+    run.relative_tolerance = request.relative_tolerance
+    nominals = np.ones(n + 1)
     if n:
-        instance.getNominalsOfContinuousStates(nominals, n)
-    run.nominals = ctypes.addressof(nominals)
+        instance.getNominalsOfContinuousStates(
+            nominals.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), n
+        )
+    if request.closer:
+        nominals *= request.closer.absolute / run.relative_tolerance
     return nominals
 
 

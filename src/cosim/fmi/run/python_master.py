@@ -19,6 +19,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
     Interface,
     access_to,
@@ -26,8 +27,9 @@ from cosim.fmi.run.instance import (
     initialize,
     update_discrete_states,
 )
-from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, MasterRun
+from cosim.fmi.run.request import FmuRequest, MasterRun
 from cosim.host.progress import doing
+from cosim.model.growth import Growth
 from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
 from cosim.model.times import one_time
 
@@ -49,7 +51,7 @@ def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
             initialize(instance, request.description, request.initial_values, **request.experiment)
             recorder = _Recorder(instance, request)
             with doing("running the FMU", recorder.fraction):
-                stats = loop(instance, request, recorder, interrupts)
+                stats, growth = loop(instance, request, recorder, interrupts)
             instance.terminate()
         except Exception as error:
             if interrupts:
@@ -57,7 +59,7 @@ def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
             raise
         if interrupts:
             raise KeyboardInterrupt
-    return MasterRun(*recorder.recorded, stats)
+    return MasterRun(*recorder.recorded, stats, growth)
 
 
 class _Recorder:
@@ -101,15 +103,17 @@ def _stopped_early(time: float, request: FmuRequest) -> FmuError:
 
 def _model_exchange(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Growth | None]:
     """Integrate with CVODE from event to event and from output time to output time."""
     description, start = request.description, request.start
     time, *targets = request.points.tolist()
     next_event = enter_continuous_time(instance)
-    clock = _Clock(instance, request)
+    clock = Clock(instance, request)
     solver = _solver(instance, request, clock, interrupts)
     needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
     recorder.record(time)
+    deviations = Deviations(instance, request, clock)
+    deviations.note(time)
     stats: dict[str, Any] = {}
     for target in targets:
         while not stats:
@@ -127,8 +131,11 @@ def _model_exchange(
             if needs_completed_step:
                 step_event, ends = instance.completedIntegratorStep()
                 happens |= step_event
+            deviations.note(time)
             if happens and not ends:
+                deviations.judge(solver.steps)
                 ends, next_event = _pass_event(instance, clock, solver, time)
+                deviations.note(time)
             if ends and not one_time(time, request.stop, start):
                 stats = _ended(time, recorder)
             elif goal == target and one_time(time, target, start):
@@ -136,10 +143,12 @@ def _model_exchange(
                 break
         if stats:
             break
-    return {**stats, "rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
+    deviations.judge(solver.steps)
+    stats |= {"rhs_calls": solver.rhs_calls, **_note(solver.many_steps)}
+    return stats, deviations.found
 
 
-def _pass_event(instance: Any, clock: "_Clock", solver: Any, time: float) -> tuple[bool, float]:
+def _pass_event(instance: Any, clock: "Clock", solver: Any, time: float) -> tuple[bool, float]:
     """Let an FMU handle an event.
 
     Returns:
@@ -166,11 +175,18 @@ def _note(many_steps: tuple[float, float] | None) -> dict[str, str]:
     return {"note": f"{note}solution; compare with co-simulation"}
 
 
-def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Sequence[int]) -> Any:
+def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequence[int]) -> Any:
     from cosim.fmi.run.cvode import Cvode
 
     description, start = request.description, request.start
-    tolerance = DEFAULT_TOLERANCE if request.tolerance is None else request.tolerance
+    relative, closer = request.relative_tolerance, request.closer
+
+    def sizes(values: Any, count: int) -> None:
+        """Fill in the nominal values so that CVODE takes the absolute tolerance."""
+        instance.getNominalsOfContinuousStates(values, count)
+        if closer and clock.time < closer.until:
+            np.ctypeslib.as_array(values, (count,))[:] *= closer.absolute / relative
+
     return Cvode(
         interrupts,
         nx=description.numberOfContinuousStates,
@@ -179,30 +195,37 @@ def _solver(instance: Any, request: FmuRequest, clock: "_Clock", interrupts: Seq
         set_x=instance.setContinuousStates,
         get_dx=instance.getContinuousStateDerivatives,
         get_z=instance.getEventIndicators,
-        get_nominals=instance.getNominalsOfContinuousStates,
+        get_nominals=sizes,
         set_time=clock.set,
         input=clock,
         startTime=start,
         maxStep=min(request.max_step or inf, (request.stop - start) / _STEPS_OF_A_RUN),
-        relativeTolerance=tolerance,
+        relativeTolerance=relative,
     )
 
 
-class _Clock:
+class Clock:
     """Sets the time of an FMU for model exchange, and the inputs that follow a series.
 
     The solver restarts at every sample of the series, so that it steps over no kink and no pulse.
     Between two jumps it sees one piece of the series, even where it evaluates beyond the jump.
+
+    Attributes:
+        time: The present time, s.
     """
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._set_time, self._series = instance.setTime, request.inputs
         self._set_inputs = access_to(request.followers, instance, request.description).set
-        self._events = _sample_times(self._series, request).tolist() if self._series else []
+        samples = _sample_times(self._series, request) if self._series else np.empty(0)
+        ends = [request.closer.until] if request.closer else []
+        self._events = np.union1d(samples, ends).tolist()
+        self.time = request.start
         self._piece = self._series and _after(self._series, request.start)
 
     def set(self, time: float) -> None:
         """Set the time and the inputs."""
+        self.time = time
         self._set_time(time)
         self.set_inputs(time)
 
@@ -231,7 +254,7 @@ class _Clock:
 
 def _co_simulation(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], None]:
     """Step from one communication point to the next."""
     points = request.points.tolist()
     step = _plain_step(instance)
@@ -243,13 +266,13 @@ def _co_simulation(
         if interrupts:
             raise KeyboardInterrupt
         if ends and reached < points[-1]:
-            return _ended(reached, recorder)
+            return _ended(reached, recorder), None
         if reached < end:
             raise _stopped_early(reached, request)
         recorder.record(end)
     if points[-1] < request.stop and not one_time(points[-1], request.stop, request.start):
         raise _stopped_early(points[-1], request)
-    return {}
+    return {}, None
 
 
 _Step = Callable[[float, float], tuple[float, bool]]  # begin, end -> time reached, whether it ends

@@ -20,6 +20,7 @@ from cosim.fmi.run.instance import (
 from cosim.fmi.run.typed_values import start_number, typed_value
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed
+from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
 from cosim.model.times import one_time, reject_backward, time_grid
 from cosim.model.values import listed, number
@@ -31,11 +32,19 @@ _CONTINUOUS = ("Real", "Float64")
 
 
 class MasterRun(NamedTuple):
-    """Raw result of a run: its times, s, (n,), a row of outputs for each, and statistics."""
+    """Raw result of a run.
+
+    Attributes:
+        times: s, (n,).
+        rows: Outputs, a row for each time.
+        stats: Statistics.
+        growth: A deviation in model exchange that grows, but was not followed.
+    """
 
     times: Vector
     rows: Vector
     stats: dict[str, Any]
+    growth: Growth | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +63,7 @@ class FmuRequest:
         inputs: Inputs that follow a time series.
         tolerance: Relative tolerance; None if neither user nor FMU gives one.
         max_step: Longest step in model exchange, s.
+        closer: Smaller tolerance for the first part of a run in model exchange.
     """
 
     description: Any
@@ -66,6 +76,7 @@ class FmuRequest:
     inputs: InputSeries | None = None
     tolerance: float | None = None
     max_step: float | None = None
+    closer: Closer | None = None
 
     @classmethod
     def of(
@@ -121,6 +132,11 @@ class FmuRequest:
             return dict(self.values)
         at_start = series.at(np.array([self.start]))[:, 0]
         return {**self.values, **dict(zip(series.names, map(float, at_start), strict=True))}
+
+    @property
+    def relative_tolerance(self) -> float:
+        """The tolerance of model exchange; the absolute one is as large, in nominal values."""
+        return DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def experiment(self) -> dict[str, float | None]:

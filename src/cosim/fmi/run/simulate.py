@@ -10,7 +10,7 @@ from typing import Any
 from cosim.errors import UsageError
 from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
-from cosim.fmi.run.request import DEFAULT_TOLERANCE, FmuRequest, rounding
+from cosim.fmi.run.request import FmuRequest, rounding
 from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
@@ -108,5 +108,5 @@ def _small_states(request: FmuRequest, run: Trajectory) -> str:
         return ""
     names = [column.name for column in run.columns if column.is_state]
     states = run.select(names)
-    relative = DEFAULT_TOLERANCE if request.tolerance is None else request.tolerance
+    relative = request.relative_tolerance
     return uncontrolled(states.columns, states.values, relative, relative)

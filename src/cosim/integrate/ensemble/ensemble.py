@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -122,6 +122,33 @@ class Ensemble:
         if name not in self.names:
             raise UnknownName.among(f"{self.model}: ensemble", "variable", name, self.names)
         return self.values[:, :, self.names.index(name)]
+
+    def with_runs(self, runs: Integers, others: Ensemble) -> Ensemble:
+        """Return an ensemble in which the runs at some positions are those of another one."""
+        places = runs.tolist()
+
+        def rows(own: Any, new: Any) -> Any:
+            own = own.copy()
+            own[runs] = new
+            return own
+
+        def facts(own: Mapping[int, Any], new: Mapping[int, Any]) -> dict[int, Any]:
+            left = {i: fact for i, fact in own.items() if i not in places}
+            return left | {places[i]: fact for i, fact in new.items()}
+
+        states = dict(enumerate(self.states)) | dict(zip(places, others.states, strict=True))
+        return replace(
+            self,
+            values=rows(self.values, others.values),
+            states=tuple(states.values()),
+            reasons=facts(self.reasons, others.reasons),
+            invalid=facts(self.invalid, others.invalid),
+            reached=rows(self.reached, others.reached),
+            steps=rows(self.steps, others.steps),
+            rhs_calls=rows(self.rhs_calls, others.rhs_calls),
+            error=rows(self.error, others.error),
+            with_events=facts(self.with_events, others.with_events),
+        )
 
     def run(self, i: int) -> Trajectory:
         """Return one run up to its last valid output time, or to the event that ended it."""

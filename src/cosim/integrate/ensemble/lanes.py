@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.initialization import DEFECT_LIMIT
 from cosim.codegen.runge_kutta.lane_library import Batch, lane_library, processor_lanes
 from cosim.errors import InitialConditionError
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
+from cosim.integrate.growth import growing_starts
 from cosim.integrate.initial_values import start_values
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.memo import cached_per_thread
@@ -38,8 +39,9 @@ HALTED, OUTSIDE = 5, 6
 # Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
 # ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
 # of the tolerance; left: time from which a validity condition is violated, s, infinite for none;
-# limit: position of that condition.
-_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit")
+# limit: position of that condition; straight: time up to which the motion from the start is a line
+# in time, to the tolerance.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit", "straight")
 _REPORT = np.dtype([(name, float) for name in _FIELDS])
 
 
@@ -148,7 +150,7 @@ def run_lanes(
 
 def in_lanes(
     request: RunRequest, values: ManyValues, tolerance: Tolerance, threads: int, lanes: int | None
-) -> Ensemble:
+) -> tuple[Ensemble, Integers]:
     """Run an explicit formulation in lanes.
 
     Args:
@@ -156,6 +158,9 @@ def in_lanes(
         values: Values of every run.
         tolerance: Tolerance and largest step of the solver.
         threads, lanes: See `simulate_many`.
+
+    Returns:
+        The runs, and the positions of those in which a deviation grows that no step has seen.
     """
     on_invalid = request.policy.on_invalid
     names = request.outputs or request.dae.observed
@@ -201,7 +206,7 @@ def in_lanes(
         report[going] = ended
     output_times = request.times.requested if request.times.own else grid
     rows = np.searchsorted(grid, output_times)
-    return Ensemble(
+    ensemble = Ensemble(
         dae.full_name,
         output_times,
         recorded_columns(dae, names)[0],
@@ -216,6 +221,15 @@ def in_lanes(
         error=report["error"] * (tolerance.relative or 1.0),
         stats={"lanes": lanes, "solve_time": solve_time},
     )
+    straight = ended["straight"] > grid[0]
+    lines = going[straight]
+    growing = growing_starts(
+        dae,
+        [rows[lines] for rows in table],
+        (float(grid[0]), ended["straight"][straight], float(grid[-1])),
+        tolerance.pair[1],
+    )
+    return ensemble, lines[growing]
 
 
 def nominal_sizes(dae: Dae, x: Vector, tolerance: Tolerance) -> Vector:

@@ -51,8 +51,9 @@ def simulate_many(
 
     Explicit formulations run in SIMD lanes with `dop853`, each variant with its own steps; the
     result of a variant does not depend, bit for bit, on the others, on their order or on the
-    threads. Variants of other models, with other solvers or with input series, and variants on
-    machines without a compiler run one by one.
+    threads. Variants of other models, with other solvers or with input series, variants that begin
+    at an unstable equilibrium but for a tiny deviation, and variants on machines without a compiler
+    run one by one.
 
     Args:
         dae: The model, or a request whose fields are the defaults; SI units throughout.
@@ -90,7 +91,11 @@ def simulate_many(
     solver = lane_solver(request)
     if solver is not None:
         chosen: Solver = solver
-        found = in_lanes(request, values, solver.tolerance, threads or processors(), lanes)
+        workers = threads or processors()
+        found, growing = in_lanes(request, values, solver.tolerance, workers, lanes)
+        if len(growing):
+            alone = _one_by_one(replace(request, solver=solver), values.select(growing))
+            found = found.with_runs(growing, alone)
     else:
         if lanes is not None:
             why = "explicit formulations and dop853, compiled, without input series"

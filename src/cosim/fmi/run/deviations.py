@@ -1,0 +1,91 @@
+"""`Deviations`: the motion of an FMU between events, searched for growth that no step follows."""
+
+from ctypes import c_double
+from typing import Any
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.fmi.run.arrays import elements_of
+from cosim.fmi.run.request import FmuRequest
+from cosim.model.growth import Growth, StatePath, suppressed_growth
+
+_STEP = float(np.cbrt(np.finfo(float).eps))  # of a central difference, in sizes of its state
+
+
+class Deviations:
+    """The states of an FMU for model exchange since its last event.
+
+    Args:
+        instance: fmpy's, in continuous-time mode.
+        request: What to compute.
+        clock: Sets time and inputs.
+
+    Attributes:
+        found: The smallest deviation that grows unseen; None if there is none.
+    """
+
+    def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
+        self._instance, self._clock = instance, clock
+        self._names = _state_names(request.description)
+        self._tolerance = request.relative_tolerance
+        self.found: Growth | None = None
+        self._rows: list[tuple[float, Vector]] = []
+
+    def note(self, time: float) -> None:
+        """Note the present states."""
+        if self._names:
+            self._rows.append((time, self._block(self._instance.getContinuousStates)))
+
+    def judge(self, steps: int) -> None:
+        """Look back over the motion since the last event, and begin anew.
+
+        Args:
+            steps: Number of the solver's steps.
+        """
+        rows, self._rows = self._rows, []
+        if len(rows) < 2:
+            return
+        times, states = zip(*rows, strict=True)
+        path = StatePath(
+            self._names,
+            np.array(times),
+            np.array(states).T,
+            self._block(self._instance.getNominalsOfContinuousStates),
+            lambda times, states: np.array([*map(self._rates, times, states.T)]).T,
+            self._slopes,
+        )
+        found = suppressed_growth(path, steps, self._tolerance, self._tolerance)
+        self._rates(*rows[-1])
+        if found and (self.found is None or found.size < self.found.size):
+            self.found = found
+
+    def _block(self, getter: Any) -> Vector:
+        values = (c_double * len(self._names))()
+        getter(values, len(values))
+        return np.array(values)
+
+    def _rates(self, time: float, states: Vector) -> Vector:
+        self._clock.set(time)
+        self._instance.setContinuousStates((c_double * len(states))(*states), len(states))
+        return self._block(self._instance.getContinuousStateDerivatives)
+
+    def _slopes(self, time: float, states: Vector) -> Vector:
+        sizes = np.maximum(
+            np.abs(states), self._block(self._instance.getNominalsOfContinuousStates)
+        )
+        shifts = np.diag(_STEP * sizes)
+        columns = [
+            (self._rates(time, states + shift) - self._rates(time, states - shift))
+            / (2 * shift.sum())
+            for shift in shifts
+        ]
+        return np.array(columns).T
+
+
+def _state_names(description: Any) -> list[str]:
+    """Return the names of the states; an array stands for its elements."""
+    states = [item.variable.derivative for item in description.derivatives]
+    every = description.modelVariables
+    numbers = [elements_of(state, every) if state.dimensions else [state] for state in states]
+    return [number.name for some in numbers for number in some]

@@ -1,0 +1,189 @@
+"""`suppressed_growth`: a deviation that grows in a motion, but that its steps have not followed.
+
+Near an unstable equilibrium a deviation grows from far below the absolute tolerance. The error
+control does not see it there: steps become longer than the time of growth, and an implicit one
+suppresses it. Where the motion is a straight line to the tolerance, the eigenvalues tell how far
+the deviation would have grown; to be seen from the beginning, it needs a smaller tolerance.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Vector
+
+_EPS = float(np.finfo(float).eps)
+_ROUNDINGS = 4  # of the rates, within which a push may be rounding
+_FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
+_MOST_EXPONENT = 600.0
+_SHORTEST = 1e-3  # of a run: its first line
+
+
+class Growth(NamedTuple):
+    """A deviation that grows unseen.
+
+    Attributes:
+        state: Name of the state in which it is largest.
+        time: When it begins, s.
+        growth_time: In which it grows by the factor e, s.
+        size: Its size at the beginning, in nominal values.
+    """
+
+    state: str
+    time: float
+    growth_time: float
+    size: float
+
+    def closer(self, relative: float) -> "Closer":
+        """Return the absolute tolerance that follows the deviation until it has nominal size.
+
+        Args:
+            relative: Relative tolerance of the run, which then is that of the deviation.
+        """
+        return Closer(relative * self.size, self.time - self.growth_time * float(np.log(self.size)))
+
+    def note(self, closer: "Closer", followed: bool) -> str:
+        """Return what to say of a run.
+
+        Args:
+            closer: See `closer`.
+            followed: Whether the run was repeated with this tolerance.
+        """
+        if followed:
+            advice = f"ran with absolute_tolerance {closer.absolute:.2g} up to {closer.until:.6g} s"
+            advice += ", so that it is followed"
+        else:
+            advice = f"it may be suppressed; give absolute_tolerance {closer.absolute:.2g}"
+        return (
+            f"from {self.time:.6g} s on, a deviation of {self.size:.2g} nominal values of "
+            f"{self.state} grows by e every {self.growth_time:.3g} s; {advice}"
+        )
+
+
+class Closer(NamedTuple):
+    """A smaller tolerance for the first part of a run.
+
+    Attributes:
+        absolute: Absolute tolerance, in nominal values.
+        until: End of that part, s.
+    """
+
+    absolute: float
+    until: float
+
+
+@dataclass(frozen=True, eq=False)
+class StatePath:
+    """States over time, with their equations.
+
+    Attributes:
+        names: Of the states.
+        time: Rows, s, (n,).
+        states: (nx, n).
+        sizes: Nominal values of the states, (nx,).
+        rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
+        slopes: Returns the derivatives of dx/dt by the states, (nx, nx), at a time, s, and states,
+            (nx,); not finite where they have no value.
+    """
+
+    names: Sequence[str]
+    time: Vector
+    states: Vector
+    sizes: Vector
+    rates: Callable[[Vector, Vector], Vector]
+    slopes: Callable[[float, Vector], Vector]
+
+
+def suppressed_growth(
+    path: StatePath, steps: int, relative: float, absolute: float
+) -> Growth | None:
+    """Return the smallest deviation that would become visible, but has not been followed.
+
+    Args:
+        path: Result of a solver with error control.
+        steps: Number of its steps.
+        relative, absolute: Its tolerances; the absolute one in nominal values.
+    """
+    if len(path.time) < 2 or not len(path.states):
+        return None
+    rows = _rows_per_step(path.time, steps)
+    spans = _straight(path, rows, relative, absolute * path.sizes)
+    found = [growth_along(path, first, last, absolute) for first, last in spans]
+    few = steps >= len(path.time)  # all of it may lie before the first row
+    if few and (line := _first_line(path, relative, absolute)):
+        found.append(growth_along(line, 0, 1, absolute))
+    return min(filter(None, found), key=lambda growth: growth.size, default=None)
+
+
+def _first_line(path: StatePath, relative: float, absolute: float) -> StatePath | None:
+    """Return the longest line from the start that is one to the tolerance, and the path's end."""
+    begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
+    rate = path.rates(path.time[:1], x)
+    length = path.time[1] - begin
+    while length > _SHORTEST * (stop - begin):
+        end = x + length * rate
+        bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
+        if (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all():
+            time = np.array([begin, begin + length, stop])
+            return replace(path, time=time, states=np.hstack((x, end, end)))
+        length /= 4
+    return None
+
+
+def _rows_per_step(t: Vector, steps: int) -> Vector:
+    """Return rows that are about a step of the solver apart, in which it is never straight."""
+    wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
+    return np.unique(np.clip(t.searchsorted(wanted), 0, len(t) - 1))
+
+
+def _straight(
+    path: StatePath, rows: Vector, relative: float, absolute: Vector
+) -> list[tuple[int, int]]:
+    """Return spans, by their first and last row, in which all states are lines in time."""
+    t, x = path.time[rows], path.states[:, rows]
+    gaps = np.diff(t)
+    slopes = np.diff(x, axis=1) / gaps
+    if len(gaps) == 1:
+        before = path.rates(t[:1], x[:, :1])
+    else:
+        before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
+    least = relative * np.abs(x[:, 1:]) + absolute[:, None]
+    calm = np.concatenate(([0], (np.abs((slopes - before) * gaps) <= least).all(axis=0), [0]))
+    edges = np.flatnonzero(np.diff(calm)).reshape(-1, 2)
+    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(gaps))]
+    longest = sorted(edges.tolist(), key=lambda span: t[span[0]] - t[span[1]])[:_MOST_SPANS]
+    return [(int(rows[first]), int(rows[last])) for first, last in longest]
+
+
+def growth_along(path: StatePath, first: int, last: int, absolute: float) -> Growth | None:
+    """Return the smallest deviation that grows along a line and becomes visible by the last row.
+
+    Args:
+        path: See `suppressed_growth`.
+        first, last: Rows between which the states are lines in time.
+        absolute: Absolute tolerance, in nominal values.
+    """
+    t, sizes = path.time, path.sizes
+    slopes = path.slopes(t[first], path.states[:, first]) * sizes / sizes[:, None]
+    if not np.isfinite(slopes).all():
+        return None
+    values, left = np.linalg.eig(slopes.T)
+    growing = values.real * (t[last] - t[first]) > 1
+    if not growing.any():
+        return None
+    rows = np.unique([first, (first + last) // 2, last])
+    states = path.states[:, rows]
+    f = path.rates(t[rows], states) / sizes[:, None]
+    rounding = _EPS * np.abs(slopes) @ np.abs(states / sizes[:, None])
+    found = list[Growth]()
+    for value, direction in zip(values[growing], left.T[growing], strict=True):
+        push = np.abs(direction @ f)
+        push = push[push > _ROUNDINGS * np.abs(direction) @ rounding]
+        rate, size = float(value.real), float(push.min(initial=np.inf)) / abs(value)
+        seen = size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute
+        if len(push) and seen:
+            state = path.names[int(np.argmax(np.abs(direction)))]
+            found.append(Growth(state, float(t[first]), 1 / rate, size))
+    return min(found, key=lambda growth: growth.size, default=None)
