@@ -369,8 +369,10 @@ static void note_straight(Lanes *self, const Batch *batch, M good, V after) {
     if (!some) return;
     for (int i = 0; i < NX; ++i) self->sum[i] = self->h * (self->k[END][i] - self->k[0][i]);
     const V bend = norm(self, batch, self->sum, self->x);
-    FOR_LANES if (good[l] && self->straight[l] == self->t[l] && bend[l] <= 1) self->straight[l] =
-        after[l];
+    FOR_LANES {
+        const int follows = good[l] && self->straight[l] == self->t[l];
+        if (follows && bend[l] <= 1) self->straight[l] = after[l];
+    }
 }
 
 /* One step of all lanes. */
