@@ -29,6 +29,7 @@ SHAPES = {
     "slopes": lambda c, m: (m.tanh(c + 1.5) - m.tanh(c - 1.5)) / 2,
     "table": lambda c, m: np.interp(c, KNOTS, np.exp(-(KNOTS**2))) if m is np else TABLE(c),
     "plane": lambda c, m: m.exp(-(c**2)),
+    "hill": lambda c, m: m.exp(-2 * c**2),
     "pulse": lambda c, m: m.exp(-(c**2)),
 }
 SCIPY = ("DOP853", "RK45", "LSODA", "BDF")
@@ -40,7 +41,9 @@ def model(shape: str) -> cosim.Dae:
     t, place, width = SX.sym("t"), SX.sym("place"), SX.sym("width")
     s, r, h, v = (SX.sym(name) for name in "srhv")
     c = ((SPEED * t if shape == "pulse" else s) - place) / width
-    bump = form(c, ca) * (form((r - place) / width, ca) if shape == "plane" else 1)
+    d = (r - place) / width
+    bumps = {"plane": form(c, ca) * form(d, ca), "hill": ca.exp(-(c**2) - d**2)}
+    bump = bumps.get(shape, form(c, ca))
     ode = ca.vertcat(SPEED, SPEED, v, -25 * (h - HEIGHT * bump) - v)
     laws = {"t": t, "x": ca.vertcat(s, r, h, v), "ode": ode, "p": ca.vertcat(place, width)}
     start = {"place": 50.0, "width": 0.1}

@@ -1,10 +1,10 @@
-"""`inner_terms`: terms of one moving quantity as functions of a variable that parameters shift.
+"""`inner_terms`: terms of moving quantities as functions of variables that parameters shift.
 
 The term H exp(-((s - place) / width)**2) is, but for its factor, a function exp(-c**2) of
 c = (s - place) / width. It holds no parameter: where it changes is known for all their values.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -12,7 +12,7 @@ from casadi import SX
 
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, called
-from casadi_models.dae.single_terms import SUMS, in_postorder, single_terms
+from casadi_models.dae.single_terms import SUMS, in_postorder, several_terms, single_terms
 
 
 class InnerTerm(NamedTuple):
@@ -57,16 +57,63 @@ def inner_terms(dae: Dae) -> list[InnerTerm]:
     ]
 
 
-def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
-    variables = [(moving, SX.sym("c"))]
+def inner_terms_of_several(dae: Dae) -> list[tuple[InnerTerm, ...]]:
+    """Return the terms of several states or time, each once for every variable in it.
+
+    In the value of each, the symbols of the others stand for their variables.
+    """
+    moving = [*ca.vertsplit(dae.x), dae.t] if dae.states else [dae.t]
+    places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
+    known, found = {*places, *_keys(dae.p)}, list[tuple[InnerTerm, ...]]()
+    for term in ca.vertsplit(several_terms(dae)):
+        symbols = {symbol.element_hash() for symbol in ca.symvar(term)}
+        if not symbols <= known:
+            continue  # unknowns or inputs move it, too
+        movers = [symbol for symbol in moving if symbol.element_hash() in symbols]
+        node, variables = _in_variables(dae, movers, term)
+        given = _parameters_of(dae, node.form)
+        own = list[InnerTerm]()
+        for variable, symbol in (variables[root] for root in sorted(node.roots)):
+            (mover,) = {s.element_hash() for s in ca.symvar(variable)} & {*places}
+            own.append(InnerTerm(places[mover], variable, symbol, node.form, given, ()))
+        found.append(tuple(sorted(own, key=lambda term: term.moving)))
+    return found
+
+
+def _keys(column: SX) -> list[int]:
+    return [symbol.element_hash() for symbol in ca.vertsplit(column)] if column.numel() else []
+
+
+def _parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:
+    """Return the positions of the parameters on which an expression depends."""
+    which = ca.which_depends(value, dae.p, 1, False) if dae.parameters else []
+    return tuple(i for i, depends in enumerate(which) if depends)
+
+
+def _in_variables(dae: Dae, moving: Sequence[SX], term: SX) -> tuple[_Node, list[tuple[SX, SX]]]:
+    """Return the node of a term, and the variables in it with their symbols.
+
+    Args:
+        dae: The equations.
+        moving: The quantities that move the term, which are the first variables.
+        term: The term.
+    """
+    variables = [(symbol, SX.sym("c")) for symbol in moving]
+    first = {symbol.element_hash(): root for root, symbol in enumerate(moving)}
     nodes = dict[int, _Node]()
     for key, value, keys in in_postorder([term]):
         operands = tuple(nodes[k] for k in keys)
-        if key == moving.element_hash():
-            nodes[key] = _Node(value.op(), variables[0][1], frozenset([0]), True, ())
+        if key in first:
+            root = first[key]
+            nodes[key] = _Node(value.op(), variables[root][1], frozenset([root]), True, ())
         else:
             nodes[key] = _combined(dae, value, operands, variables)
-    for piece in _pieces(nodes[term.element_hash()]):
+    return nodes[term.element_hash()], variables
+
+
+def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
+    node, variables = _in_variables(dae, [moving], term)
+    for piece in _pieces(node):
         (root, *more) = piece.roots
         variable, symbol = variables[root]
         value = piece.form
@@ -76,10 +123,8 @@ def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
             symbols = [own for _, own in variables]
             value = ca.substitute(value, ca.vertcat(*symbols), ca.vertcat(*first))
             value = ca.substitute(value, moving, symbol)
-        which = ca.which_depends(value, dae.p, 1, False) if dae.parameters else []
         tables = tuple(_tables(piece)) if not more else ()
-        given = tuple(i for i, depends in enumerate(which) if depends)
-        yield InnerTerm(place, variable, symbol, value, given, tables)
+        yield InnerTerm(place, variable, symbol, value, _parameters_of(dae, value), tables)
 
 
 def _combined(

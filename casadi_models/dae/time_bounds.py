@@ -194,7 +194,7 @@ def _power_of(a: _Span, n: int) -> _Span:
     if n % 2:
         return _Span(a.low**n, a.high**n, False)
     middle, radius = _middle(a)
-    nearest = ca.fmax(ca.fabs(middle) - radius, 0)
+    nearest = ca.fmax(ca.fmax(a.low, -a.high), 0)
     return _Span(nearest**n, (ca.fabs(middle) + radius) ** n, False)
 
 

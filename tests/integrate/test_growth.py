@@ -52,7 +52,7 @@ def test_growth_is_seen_in_lanes(times):
 
 
 @pytest.mark.parametrize(
-    "master, times",
+    ("master", "times"),
     [("fmpy", {}), ("fmpy", {"output_interval": 30}), ("fmpy", LONG), ("c", {})],
     ids=["rows", "two rows", "long", "c"],
 )

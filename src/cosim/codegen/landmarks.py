@@ -6,32 +6,36 @@ events starts anew at these places, with steps from one to the next.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Variable
-from casadi_models.dae.inner_terms import InnerTerm, inner_terms
-from casadi_models.dae.time_bounds import bounds_along
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms, inner_terms_of_several
+from casadi_models.dae.single_terms import FARTHEST
+from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Vector
-from cosim.codegen.changes import NOTHING, apart, changes_between, changing_parts
+from cosim.codegen.changes import FLAT, NOTHING, apart, changes_between, changing_parts
 from cosim.codegen.pulses import parted
 from cosim.memo import cached_per_thread
 
-_FARTHEST = 1e6  # of the values of a variable that are searched
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
 _INNER = 1_000  # samples of a change
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
+_ACROSS = 9  # places on the way of one of several states through the only part where a term moves
+_HALVINGS = 100  # of the way to such a part
 # the knots of a table of one variable in CasADi's C code
 _GRID = r"(?:casadi_interpn|CASADI_PREFIX\(nd_boor_eval\))\([^;{]*?,\s*1,\s*(casadi_c\d+)"
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places where terms of single states and of time change.
+    """Places where terms of states and of time change.
 
     Attributes:
         arguments: Expressions of states or time, and parameters, that change their signs there,
@@ -84,6 +88,14 @@ def landmarks(dae: Dae) -> Landmarks:
             changes.setdefault(term.moving, {}).setdefault(key, change)
     names, found = [*(state.name for state in dae.states), "time"], list[str]()
     passed = [names[moving] for moving in sorted(unknown)]
+    for terms in inner_terms_of_several(dae):
+        across = _changes_of_several(dae, terms, p)
+        if across is None:
+            passed.append(", ".join(names[term.moving] for term in terms))
+            continue
+        for change in across:
+            key = change.term.variable.element_hash(), change.places.tobytes()
+            changes.setdefault(change.term.moving, {}).setdefault(key, change)
     rows, times, given = list[SX](), [np.empty(0)], set[str]()
     for moving, own in changes.items():
         steps = sum(change.is_step for change in own.values())
@@ -121,7 +133,7 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
     bounds = bounds_along(term.value, symbol, [dae.p], length)
     if bounds is not None:
         ends = ca.Function("bend", [symbol, length, dae.p], list(bounds), {"cse": True})
-        edges = np.array([-_FARTHEST, _FARTHEST])
+        edges = np.array([-FARTHEST, FARTHEST])
 
         def bend(begins: Vector, widths: Vector) -> Vector:
             both = [np.array(end).ravel() for end in ends(begins[None], widths[None], p)]
@@ -142,6 +154,60 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
         step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
         changes.append(_Change(term, places, bool(step)))
     return changes
+
+
+def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> list[_Change] | None:
+    """Return where a term of several quantities may move, on the way of each; None if unknown.
+
+    Beyond these parts it rests, wherever the other quantities are: whoever gets to where it moves
+    passes the end of one of them. A slope, which ends at another value than it begins, has none.
+    """
+    symbols = ca.vertcat(*(term.symbol for term in terms))
+    ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
+    within = bounds_within(terms[0].value, symbols, ends, dae.p)
+    if within is None:
+        return []
+    bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
+
+    def width(row: int, low: float, high: float) -> float:
+        least, most = np.full(len(terms), -FARTHEST), np.full(len(terms), FARTHEST)
+        least[row], most[row] = low, high
+        ends = (float(end) for end in bounds(least, most, p))
+        return float(np.diff([*ends])[0])
+
+    size = width(0, -FARTHEST, FARTHEST)
+    if not np.isfinite(size):
+        return []
+
+    def rests(row: int, begin: float, end: float) -> bool:
+        return width(row, min(begin, end), max(begin, end)) <= FLAT * size
+
+    found = list[_Change]()
+    for row, term in enumerate(terms):
+        first, last = (
+            _last_flat(partial(rests, row), sign * FARTHEST, -sign * FARTHEST) for sign in (-1, 1)
+        )
+        if first is not None and last is not None and first < last:
+            found.append(_Change(term, np.linspace(first, last, _ACROSS), is_step=False))
+    if found:
+        return found
+    value = ca.Function("value", [symbols, dae.p], [terms[0].value])
+    corners = FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
+    seen = np.array(value(corners, p)).ravel()
+    is_slope = np.abs(np.diff(seen.reshape(2, -1), axis=0)) >= _SEEN * size
+    return [] if is_slope.any() else None
+
+
+def _last_flat(rests: Callable[[float, float], bool], begin: float, stop: float) -> float | None:
+    """Return the place up to which a term rests from a begin on; None if it never does."""
+    last, first_moving = begin, stop
+    for _ in range(_HALVINGS):
+        middle = (last + first_moving) / 2
+        if rests(begin, middle):
+            last = middle
+        else:
+            first_moving = middle
+    return last if last != begin else None
 
 
 def _depends(dae: Dae, expression: SX) -> list[Variable]:

@@ -106,6 +106,51 @@ def test_a_place_follows_a_parameter_that_is_tuned_in_a_run(tmp_path):
         fmu.freeInstance()
 
 
+HILLS = {  # of two states, and the area of a slice along the diagonal
+    "gauss": (lambda c, d: ca.exp(-(c**2 + d**2)), np.sqrt(np.pi / 2)),
+    "lorentz": (lambda c, d: 1 / (1 + c**2 + d**2) ** 4, 5 * np.pi / 16 / np.sqrt(2)),
+}
+
+
+def on_hill(form, place=PLACE, width=WIDTH):
+    """Return a mass on a spring and a damper that moves over a hill along its diagonal."""
+    t, x, p = SX.sym("t"), SX.sym("x", 4), SX.sym("p", 2)
+    hill = HEIGHT * form((x[0] - p[0]) / p[1], (x[3] - p[0]) / p[1])
+    ode = ca.vertcat(SPEED, x[2], -25 * (x[1] - hill) - x[2], SPEED)
+    laws = {"t": t, "x": x, "ode": ode, "p": p}
+    start = {"p_1": place, "p_2": width}
+    return cosim.from_casadi(laws, start, name="hill", stop_time=7, output_interval=0.5)
+
+
+@pytest.mark.parametrize("shape", ["gauss", pytest.param("lorentz", marks=pytest.mark.slow)])
+def test_no_importer_steps_over_a_hill_of_two_states(shape, tmp_path):
+    form, area = HILLS[shape]
+    dae = on_hill(form)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    right = after_an_impulse(HEIGHT * WIDTH * area)
+    np.testing.assert_allclose(heights(path), right, rtol=2e-3)  # before: 0
+    moved = heights(path, start_values={"p_1": 33.3, "p_2": 1e-2})
+    right = after_an_impulse(HEIGHT * 1e-2 * area, 33.3)
+    np.testing.assert_allclose(moved, right, rtol=2e-3)
+    np.testing.assert_allclose(
+        cosim.simulate(dae, start_values={"p_1": 33.3, "p_2": 1e-2})["x_2"][-1], right, rtol=2e-3
+    )
+    many = cosim.simulate_many(dae, {"p_1": [33.3, 50.3], "p_2": [1e-2, 1e-2]})
+    np.testing.assert_allclose(many["x_2"][0, -1], right, rtol=2e-3)
+
+
+def test_a_ridge_across_two_states_is_exported_with_a_warning():
+    dae = on_hill(lambda c, d: ca.exp(-((c + d) ** 2)))
+    assert landmarks(dae).arguments.numel() == 0
+    assert landmarks(dae).passed == ("x_1, x_4",)
+
+
+@pytest.mark.parametrize("form", [lambda c, d: ca.tanh(c - d), lambda c, d: ca.exp(c - d)])
+def test_slopes_of_two_states_have_no_places(form):
+    found = landmarks(on_hill(form))
+    assert (found.arguments.numel(), found.passed) == (0, ())
+
+
 @pytest.mark.slow
 def test_an_fmu_warns_of_a_parameter_that_no_place_follows(tmp_path):
     dae = on_road(product, place=PLACE, other=PLACE)
