@@ -144,6 +144,7 @@ def run_lanes(
     first = min(int(following[0]), runs)  # the first run that no lane has begun
     report[first:] = 0
     report["code"][first:], report["left"][first:] = HALTED, np.inf
+    report["straight"][first:] = grid[0]
     values[first:] = np.nan
     return values, report, perf_counter() - began
 
