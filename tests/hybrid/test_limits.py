@@ -1,5 +1,6 @@
 """Validity conditions are located in time on every backend, whatever the output times are."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -108,6 +109,28 @@ def test_sweep_of_an_fmu_names_what_is_invalid(tmp_path):
     path = cosim.export_fmu(oscillator(0.9), tmp_path / "oscillator.fmu")
     found = cosim.sweep(path, {"v": [1.0, 0.5]}, output_interval=6.5, workers=0)
     assert found.reasons == {0: "invalid from 1.12 s: not fulfilled: x is small"}
+
+
+@pytest.mark.parametrize("width", [0.02, 1e-5])
+@pytest.mark.parametrize("kind", ["place", "time"])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_a_limit_is_left_within_a_short_bump(solver, kind, width):
+    """At 10 m/s, the spring over a bump exceeds half the height for 1.7 widths."""
+    model = Model("road", description="road", source="a test", stop_time=7.0)
+    s = model.state("s", "m", 0.0, "way")
+    x = model.state("x", "m", 0.0, "height")
+    v = model.state("v", "m/s", 0.0, "velocity")
+    way = s if kind == "place" else 10 * model.t
+    ground = 0.05 * ca.exp(-(((way - 50.3) / width) ** 2))
+    model.derivative(s, ca.SX(10))
+    model.derivative(x, v)
+    model.derivative(v, -25 * (x - ground) - v)
+    model.limit(0.025 - ground + x, "the spring is short")
+    run = cosim.simulate(model.freeze(), solver=solver, output_times=[0.0, 4.0, 7.0])
+    (reason,) = run.stats["invalid"]  # before: none
+    leaves = 5.03 - width / 10 * np.sqrt(np.log(2))
+    assert reason.time == pytest.approx(leaves, abs=0.01 * width)
+    assert run.time.tolist() == [0.0, 4.0, 7.0]
 
 
 @pytest.mark.slow

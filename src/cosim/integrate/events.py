@@ -42,6 +42,8 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
 
     No step extends over a jump of an input or an event, and each piece uses the inputs and modes
     on its own side, which preserves the order of every method. Values at an event are those after.
+    Where short changes may violate validity conditions, the motion has rows between those of the
+    grid.
 
     Raises:
         UsageError, ParameterError, MissingTool: See `engine_of`.
@@ -56,6 +58,8 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     if isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
         longest = min(longest, solver.max_step)
     pulses = pulse_times(smooth, start.values.p, *span, longest)
+    inner = pulses if problem.dae.limits and isinstance(solver, AdaptiveSolver) else pulses[:0]
+    rows = np.union1d(problem.grid, inner)
 
     def attempt(closer: Closer | None, grid: Vector, ends: Vector) -> Motion:
         own = replace(problem, times=grid.tobytes())
@@ -74,7 +78,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         return with_note_on_steps(motion, start.values.p)
     return followed_growth(
         lambda closer: attentive(
-            partial(attempt, closer), problem.grid, start.values.p, solver.tolerance.pair[0]
+            partial(attempt, closer), rows, start.values.p, solver.tolerance.pair[0]
         ),
         solver,
         start.values.p,

@@ -250,7 +250,7 @@ def _hybrid_function(
         if found.reason or (found.stop and found.time[-1] < grid[-1]):
             reason = found.reason or f"'{found.stop}' ends it at {found.time[-1]:g} s"
             raise SolverError(f"{dae.full_name}: a run to {grid[-1]:g} s fails: {reason}")
-        rows = np.searchsorted(grid, times)
+        rows = np.searchsorted(found.time, times)
         for k, i in zip(changes, rows[changes], strict=True):  # at the end of the interval before
             values = Values(x, p, np.append(held[:, k - 1], found.u[len(held) :, i]))
             z = algebraic_values(found.dae, float(times[k]), found.states[:, i], values)

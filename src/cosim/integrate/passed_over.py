@@ -117,6 +117,8 @@ def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
 def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Motion:
     """Return the motion over output times whose steps pass over no term of time or one state.
 
+    With validity conditions, it has rows where terms bend, too.
+
     Args:
         attempt: Integrates over output times, with steps that end at further times.
         grid: Output times, s.
@@ -152,7 +154,10 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         ]
         if not (passed or divided):
             break  # the motion is the one that has been searched
-    motion = attempt(grid, ends) if len(ends) else plain
+    if plain.dae.limits and places:
+        motion = attempt(np.union1d(grid, _inside(grid, [place.times for place in places])), ends)
+    else:
+        motion = attempt(grid, ends) if len(ends) else plain
     if not passed:
         return _with_note_on_unbounded(motion)
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")

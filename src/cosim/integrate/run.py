@@ -242,8 +242,9 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
             events, stop = [e for e in events if n and e.time <= motion.time[n - 1]], ""
         sides = tuple(_both_sides(prepared, motion, values.p, events)) if events else ()
     rows: slice | NDArray[np.intp] = slice(0, n)
-    if prepared.rows is not None:
-        recorded = prepared.rows[prepared.rows < n]
+    if prepared.rows is not None or len(motion.time) > len(problem.grid):
+        grid = problem.grid if prepared.rows is None else problem.grid[prepared.rows]
+        recorded = np.flatnonzero(np.isin(motion.time[:n], grid))
         rows = np.union1d(recorded, [n - 1]) if stop else recorded
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
