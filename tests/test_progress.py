@@ -203,6 +203,37 @@ def test_export_shows_the_remaining_platforms_and_the_time_left(monkeypatch):
     assert f"{one}: 50 % 00:00, 00:00 left" in seen
 
 
+def sampled():
+    """Return a model that is sampled 300 times."""
+    model = cosim.Model("sampled", stop_time=3.0)
+    x, samples = model.state("x", "1", 1.0, "state"), model.discrete("n", "1", 0, "samples")
+    model.derivative(x, -x)
+    model.every(0.01, {samples: samples + 1})
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_run_with_many_events_shows_the_share_of_simulated_time(solver, monkeypatch):
+    model = sampled()
+    terminal = shown_at_once(monkeypatch)
+    with shown_on_terminal(False):
+        run = cosim.simulate(model, solver=solver, output_interval=3.0)
+    assert len(run.events) == 301
+    shares = [int(share) for share in re.findall(r"events: (\d+) %", terminal.getvalue())]
+    assert shares == sorted(shares)
+    assert any(20 < share < 80 for share in shares)
+
+
+def test_coupled_run_shows_the_share_of_simulated_time(monkeypatch):
+    system = cosim.couple({"a": sampled()}, {})
+    terminal = shown_at_once(monkeypatch)
+    with shown_on_terminal(False):
+        system.simulate(stop_time=3000.0, macro_step=0.001, output_interval=3000.0)
+    shares = [int(share) for share in re.findall(r"solving: (\d+) %", terminal.getvalue())]
+    assert shares == sorted(shares)
+    assert any(20 < share < 80 for share in shares)
+
+
 def test_extremes_show_the_case_its_number_and_the_time_left(monkeypatch, capsys):
     terminal = shown_at_once(monkeypatch)
     cases = campaign.select_cases(["crank_shaft/driven"])[:3]

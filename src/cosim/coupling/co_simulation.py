@@ -26,6 +26,7 @@ from cosim.fmi.run.instance import REALS, by_name, why_it_ended
 from cosim.fmi.run.request import column_of, output_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
+from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.model.times import time_grid
 from cosim.trajectory import Column, Event, Trajectory
@@ -271,7 +272,8 @@ class CoSimulation:
         times = time_grid(settings.start, settings.stop, settings.interval)
         jumps = np.zeros(len(times), dtype=bool)
         tables = {n: np.full((len(times), len(columns[n])), np.nan) for n in self.parts}
-        lengths = (settings.macro_step, settings.interval, settings.stop - settings.start)
+        length = settings.stop - settings.start
+        lengths = (settings.macro_step, settings.interval, length)
         default = settings.accuracy is None
         steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
         parts, held = self._structures(columns, tables, steps.of_parts)
@@ -304,7 +306,11 @@ class CoSimulation:
         )
         library, everything = coupling_library(), np.ones_like(self._feeds)
         system.feeds = everything.ctypes.data  # a start value may follow from any input
-        with interruptible(library) as interrupts:
+
+        def done() -> float:
+            return float((system.time - settings.start) / length)
+
+        with doing("solving", done), interruptible(library) as interrupts:
             library.settle_coupled(ctypes.byref(system))
             if system.how == Ending.DONE:
                 for _, part in self._called(task.called):

@@ -15,6 +15,7 @@ from casadi_models.dae.hybrid import Hybrid, input_rates
 from cosim.arrays import Vector
 from cosim.codegen.pulses import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
+from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
@@ -149,14 +150,8 @@ class _Course:
 
     def run(self) -> Motion:
         """Run to the end of the grid, or to an event that ends the run."""
-        reason = ""
-        while self.next < len(self.grid) and not self.stop and not reason:
-            try:
-                reason = self._advance()
-            except InitialConditionError:
-                reason = f"no solution after the jump of an input at {self.at.t:g} s"
-            except SolverError as error:
-                reason = str(error).removeprefix(f"{self.dae.full_name}: ")
+        with doing("events", self._done):
+            reason = self._all()
         n = self.next
         time = self.grid[:n]
         columns = [self.states[:n], self.algebraics[:n], self.u[:n]]
@@ -178,6 +173,27 @@ class _Course:
             self.stop,
             self.instants,
         )
+
+    def _done(self) -> float:
+        """Return the share of the run that is done, 0 to 1."""
+        begin, end = self.grid[[0, -1]].tolist()
+        return float((self.at.t - begin) / (end - begin))
+
+    def _all(self) -> str:
+        """Integrate from event to event.
+
+        Returns:
+            Why the run stopped early; empty if it did not, or an event ended it.
+        """
+        reason = ""
+        while self.next < len(self.grid) and not self.stop and not reason:
+            try:
+                reason = self._advance()
+            except InitialConditionError:
+                reason = f"no solution after the jump of an input at {self.at.t:g} s"
+            except SolverError as error:
+                reason = str(error).removeprefix(f"{self.dae.full_name}: ")
+        return reason
 
     def _advance(self) -> str:
         """Integrate to the end of a window, or to the first event in it.
