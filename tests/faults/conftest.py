@@ -17,8 +17,10 @@ from helpers.hostile import hostile, hostile_binary
 
 from cosim.cli.main import main
 
-BAD = ("silent", "hang", "crash", "traceback", "leftover", "orphan", "other")
+BAD = ("silent", "nan", "hang", "crash", "traceback", "leftover", "orphan", "other")
 LIMIT = 60  # s
+_NAN = re.compile(r"(?:^|[,\s])nan(?=[,\s]|$)", re.MULTILINE)  # a cell of a table
+_NAN_WORDS = re.compile(r"finite|no value|nan", re.IGNORECASE)
 COUNTS: Counter[str] = Counter()  # of what a test says with `record_property`
 
 
@@ -73,6 +75,8 @@ def ends_well(request, tmp_path, monkeypatch, capfd, counts):
         code = _here(words) if row.where == HERE else _apart(words, row.shell)
         printed = capfd.readouterr()
         wrong = _wrong(row, code, printed.out, printed.err)
+        if code == 0 and row.expected and (place / row.expected[0]).read_bytes() != row.expected[1]:
+            wrong["silent"] = f"{row.expected[0]} has other results: {printed.err}"
         if sorted(place.iterdir()) != before or any(temporary.iterdir()):
             wrong["leftover"] = str([*place.iterdir(), *temporary.iterdir()])
         if orphans := _children(str(temporary)):
@@ -85,7 +89,7 @@ def ends_well(request, tmp_path, monkeypatch, capfd, counts):
 
 def _wrong(row: Row, code: int | str, out: str, err: str) -> dict[str, str]:
     wrong: dict[str, str] = {}
-    lines = [line for line in err.splitlines() if not line.startswith("warning: ")]
+    lines = [line for line in err.splitlines() if not line.startswith(("warning: ", "note: "))]
     allowed = {WRONG: (1, 2, 3, 5), ANY: (0, 1, 2, 3, 4, 5)}.get(row.code, (row.code,))
     if code == "hang":
         wrong["hang"] = err
@@ -97,6 +101,8 @@ def _wrong(row: Row, code: int | str, out: str, err: str) -> dict[str, str]:
         wrong["other"] = f"exit code {code}: {err}"
     if "Traceback" in err or "Exception ignored" in err:
         wrong["traceback"] = err
+    if code == 0 and _NAN.search(out) and not _NAN_WORDS.search(err):
+        wrong["nan"] = out
     if row.told and not re.search(row.told, err):
         wrong["other"] = f"not told: {err}"
     if out and not row.output:

@@ -27,6 +27,7 @@ class Row:
         where: `HERE` or `APART`.
         shell: What a shell adds, e.g. a redirection; only apart.
         output: Whether there may be results on standard output.
+        expected: A file and what is in it if the command succeeds.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Row:
     where: str = HERE
     shell: str = ""
     output: bool = False
+    expected: tuple[str, bytes] | None = None
 
 
 def rows() -> list[Row]:

@@ -7,13 +7,18 @@ that its row may end with any documented code, but in a sentence.
 import io
 import random
 import re
+import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from helpers.fault_rows import ANY, WRONG, Prepare, Row
+from helpers.mutated_ssp import mutated, packed
+from helpers.ssp_files import component, connection, description, system
 
+from cosim.cli.main import main
 from cosim.scene import shipped_scenes
 
 _BAD_NUMBERS = ("nan", "inf", "-inf", "1e999", "abc", "", "1,5", "0x1p3", "1 2", "--", "\u0661e")
@@ -70,6 +75,7 @@ def random_rows(seed: int, count: int, fmu: bytes) -> list[Row]:
     draw = random.Random(seed)
     kinds: list[Callable[[random.Random, bytes], Row]] = [
         *[_command] * 12, *[_checked] * 5, *[_scene] * 4, *[_series] * 2, *[_run], *[_misbehaving],
+        *[_system] * 4, *[_ssp] * 4, *[_store] * 4,
     ]  # fmt: skip
     rows = (draw.choice(kinds)(draw, fmu) for _ in range(count))
     return [replace(row, name=f"{seed}.{k} {row.name}") for k, row in enumerate(rows)]
@@ -176,6 +182,106 @@ def _series(draw: random.Random, _: bytes) -> Row:
     return Row(
         "damaged series", (*words, "--backend", "native-interpreted"), ANY, "", prepare, output=True
     )
+
+
+_SYSTEM = """stop_time = 0.02
+open_inputs = []
+[parts]
+crank = "a.fmu"
+bar = "bar_on_frame"
+[connections]
+"bar.T2" = "crank.T"
+[start_values]
+"bar.theta" = "60 deg"
+"crank.omega" = 50.0
+[abilities]
+crank = "no rates"
+"""
+_WAYS = (
+    *(("--accuracy", value) for value in ("1e-3", "1e-99", "0", "nan", "inf")),
+    *(("--macro-step", value) for value in ("0.01", "0", "-1", "nan", "1e999", "1e-300")),
+    *(("--method", value) for value in ("jacobi", "iterated", "gauss_seidel", "extrapolated", "x")),
+    *(("--outputs", value) for value in ("bar.theta", "bar.q", "crank", "")),
+    *(("-p", value) for value in ("bar.m=1", "bar.m=nan", "crank.no=1", "bar.m=1m")),
+)
+
+
+def _system(draw: random.Random, fmu: bytes) -> Row:
+    content = _odd_text(draw, _SYSTEM).encode()
+    if draw.random() < 0.2:
+        content = _damaged(draw, content)
+    part = _damaged_fmu(draw, fmu) if draw.random() < 0.3 else fmu
+    return _of_system(draw, "s.toml", {"s.toml": content, "a.fmu": part})
+
+
+def _ssp(draw: random.Random, fmu: bytes) -> Row:
+    if draw.random() < 0.5:
+        (content,) = mutated(draw.randrange(2**32), 1)
+        return _of_system(draw, "s.ssp", {"s.ssp": content})
+    kinds = {"T": "output", "alpha": "parameter"}
+    parts = [component(n, "", kinds=kinds, source="resources/a.fmu") for n in ("a", "b")]
+    wires = connection("a.T", "T")
+    text = description(system("S", "\n".join(parts), f"\n{wires}\n", kinds={"T": "output"}))
+    entries = {"SystemStructure.ssd": _odd_text(draw, text), "resources/a.fmu": fmu}
+    content = packed(entries)
+    return _of_system(
+        draw, "s.ssp", {"s.ssp": _damaged(draw, content) if draw.random() < 0.2 else content}
+    )
+
+
+def _of_system(draw: random.Random, name: str, files: dict[str, bytes]) -> Row:
+    if draw.random() < 0.3:
+        words = ["info", name]
+    else:
+        options = draw.sample(_WAYS, draw.randrange(3))
+        words = ["simulate", name, "--trust", "--stop-time", "0.02"]
+        words += [word for option in options for word in option]
+
+    def prepare(place: Path) -> None:
+        for file, content in files.items():
+            (place / file).write_bytes(content)
+
+    return Row(f"{words[0]} damaged {name}", tuple(words), ANY, "", prepare, output=True)
+
+
+_SWEEP = ("sweep", "crank_shaft", "-p", "alpha=5:15:40", "--stop-time", "0.05", "--workers", "1")
+_KEPT = ("--store", "store", "-o", "r.csv", "-q")
+
+
+@cache
+def _whole_store() -> tuple[dict[str, bytes], bytes]:
+    """Return the files of the store of a finished sweep, and its results."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        targets = ("--store", str(place / "store"), "-o", str(place / "r.csv"), "-q")
+        assert main([*_SWEEP, *targets]) == 0
+        files = [file for file in (place / "store").rglob("*") if file.is_file()]
+        found = {file.relative_to(place).as_posix(): file.read_bytes() for file in sorted(files)}
+        return found, (place / "r.csv").read_bytes()
+
+
+def _store(draw: random.Random, _: bytes) -> Row:
+    """Resume from a store of which files are missing, damaged or replaced."""
+    whole, results = _whole_store()
+    files = dict(whole)
+    for name in draw.sample([*files], draw.randint(1, 4)):
+        match draw.randrange(4):
+            case 0:
+                del files[name]
+            case 1 | 2:
+                files[name] = _damaged(draw, files[name])
+            case 3:
+                files[name] = files[draw.choice([*files])]
+
+    def prepare(place: Path) -> None:
+        (place / "r.csv").write_bytes(b"")
+        (place / "store").mkdir()
+        for name, content in files.items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_bytes(content)
+
+    words = (*_SWEEP, *_KEPT, "--resume")
+    return Row("damaged store", words, ANY, "", prepare, expected=("r.csv", results))
 
 
 def _misbehaving(draw: random.Random, _: bytes) -> Row:
