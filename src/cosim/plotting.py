@@ -2,7 +2,7 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
@@ -11,7 +11,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 
 from cosim.arrays import Vector
 from cosim.colors import INVALID
@@ -82,6 +84,17 @@ def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
     with _valid_formulas(), matplotlib.rc_context({"svg.hashsalt": "cosim"}):
         figure.savefig(content, format=kind, dpi=dpi, metadata=UNDATED[kind])
     return content.getvalue()
+
+
+def reject_formulas(texts: Iterable[str]) -> None:
+    """Reject texts with a formula that matplotlib cannot read, whether they are drawn or not.
+
+    Raises:
+        UsageError: One of them has such a formula.
+    """
+    with _valid_formulas():
+        for text in filter(is_math_text, texts):
+            MathTextParser("path").parse(text)
 
 
 @contextmanager

@@ -29,6 +29,15 @@ def sentence(text: str) -> str:
     return line if len(line) <= LONGEST_SENTENCE else f"{line[: LONGEST_SENTENCE - 4]} ..."
 
 
+def described(error: BaseException) -> str:
+    """Return type and message of a foreign exception as one line of bounded length."""
+    try:
+        message = str(error)
+    except Exception:  # of a class that somebody else wrote
+        message = ""
+    return sentence(f"{type(error).__name__}: {message}").removesuffix(":")
+
+
 def bounded(text: str, most: int = LONGEST_MESSAGE) -> str:
     """Return a text without its middle if that is long."""
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"

@@ -151,6 +151,20 @@ def test_compiler_error_in_the_code_is_quoted(cache):
         cached_library("key", lambda: "this is no C")
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (r"printf '\n \n\nreal error\n\n'; exit 1", r"failed:\nreal error\nuse another compiler"),
+        ("echo; exit 1", "failed without a message; use another compiler"),
+    ],
+    ids=["blank lines first", "nothing"],
+)
+def test_blank_lines_of_a_compiler_are_left_out(line, words, cache, script):
+    script(line)
+    with pytest.raises(MissingTool, match=words):
+        cached_library("key", lambda: CODE)
+
+
 def test_compiler_that_writes_nothing_has_failed(cache, script):
     script("exit 0")
     with pytest.raises(MissingTool, match="failed"):

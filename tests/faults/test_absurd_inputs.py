@@ -7,6 +7,7 @@ from cosim.cli.main import main
 from cosim.codegen.compiler import compile_library
 from cosim.errors import ExportError, MissingTool, ParameterError, UsageError
 from cosim.files import write_atomically
+from cosim.model.catalogue import load
 from cosim.model.formula import condition, expression
 from cosim.model.quantities import parse_unit, quantity
 from cosim.series.csv_file import rows_of
@@ -83,20 +84,39 @@ def test_a_compiler_that_writes_no_library_is_named(tmp_path):
         compile_library([], tmp_path / "code.so", command=[str(compiler)])
 
 
+def test_an_exception_whose_text_fails_is_named(tmp_path):
+    text = "class Odd(Exception):\n    def __str__(self): return 1 / 0\ndef build(): raise Odd\n"
+    (tmp_path / "own.py").write_text(text)
+    with pytest.raises(UsageError, match=r"own.py:build failed: Odd$"):
+        load(f"{tmp_path}/own.py:build")
+
+
 def test_a_dangling_link_is_named_with_what_is_missing(tmp_path):
     (tmp_path / "link").symlink_to("missing/file")
     with pytest.raises(ExportError, match=r"it is a link to .*file: create .*missing first"):
         write_atomically(tmp_path / "link", b"")
 
 
+BROKEN = '"$\\\\frac{a$"'
+
+
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_a_broken_formula_in_a_title_is_quoted(ending, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "figure",
+    [
+        f"title = {BROKEN}",
+        f'title = "a"\nlabels = [{BROKEN}]',
+        f'title = "a"\nlegends = [[{BROKEN}]]',  # of one curve: it is not drawn
+        f'title = "a"\nx_label = {BROKEN}',
+    ],
+    ids=["title", "label", "legend", "x_label"],
+)
+def test_a_broken_formula_in_a_text_is_quoted(figure, ending, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text(
-        'model = "crank_shaft"\n[run]\nstop_time = 0.1\n'
-        '[[figures]]\ntitle = "$\\\\frac{a$"\npanels = [["phi"]]\n'
+        f'model = "crank_shaft"\n[run]\nstop_time = 0.1\n[[figures]]\n{figure}\npanels = [["phi"]]\n'
     )
     assert main(["plot", "a.toml", "-o", f"x.{ending}"]) == UsageError.exit_code
     printed = capsys.readouterr().err
-    assert "a text of the figure has the formula '\\frac{a', which matplotlib cannot" in printed
+    assert "a text of the figure has the formula '\\frac{a" in printed
     assert not (tmp_path / f"x.{ending}").exists()

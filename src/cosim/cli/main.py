@@ -20,7 +20,7 @@ from cosim.errors import CosimError
 from cosim.files import reject_unwritable
 from cosim.host.progress import shown_on_terminal
 from cosim.host.signals import time_limit
-from cosim.text import sentence, visible
+from cosim.text import described, visible
 
 _OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DESCRIPTION = "Simulate rigid-body systems natively or as FMUs, and compare the results."
@@ -228,8 +228,8 @@ def _reported(args: argparse.Namespace) -> int:
         )
         if args.debug or to_output:
             raise
-        cause = sentence(f"{type(error).__name__}: {error}")
-        print(f"cosim {args.verb} failed with {cause}; show where with: --debug", file=sys.stderr)
+        failed = f"cosim {args.verb} failed with {described(error)}; show where with: --debug"
+        print(failed, file=sys.stderr)
         return 1
 
 

@@ -79,7 +79,7 @@ def find_compiler() -> tuple[str, ...]:
         except ValueError as error:
             raise MissingTool(f"CC = {chosen} cannot be read: {error}; unset CC") from error
         if not command or shutil.which(command[0]) is None:
-            raise MissingTool(f"CC names '{chosen}', which does not exist; unset CC, or {_HOW}")
+            raise MissingTool(f"CC names '{chosen}', which is no program; unset CC, or {_HOW}")
         return tuple(command)
     for name in ("cc", "gcc", "clang"):
         if found := shutil.which(name):
@@ -147,10 +147,9 @@ def compile_library(
     except OSError as error:
         raise MissingTool(f"{call[0]} could not be run: {error}; {_HOW}") from error
     if failed or not target.exists():
-        tail = "\n".join(output.splitlines()[-20:])
-        raise MissingTool(
-            f"{shlex.join(call)} failed:\n{tail}\nuse another compiler (CC=...), or {_HOW}"
-        )
+        last = [line for line in output.splitlines() if line.strip()][-20:]
+        why = "\n".join((":", *last, "")) if last else " without a message; "
+        raise MissingTool(f"{shlex.join(call)} failed{why}use another compiler (CC=...), or {_HOW}")
     with target.open("rb") as stream:
         if not stream.read(4).startswith(_BINARIES):
             raise MissingTool(

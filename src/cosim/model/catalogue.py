@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import casadi_models
 from casadi_models import CATALOG
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.text import Table, sentence
+from cosim.text import Table, described
 
 if TYPE_CHECKING:
     from casadi_models.dae import Dae
@@ -82,7 +82,7 @@ def _explained(what: str) -> Iterator[None]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        reason = sentence(f"{type(error).__name__}: {error}").removesuffix(":")
+        reason = described(error)
         if "truth value of a CasADi" in reason:
             reason = "Python's `if`, `and` and `not` cannot choose between symbols; "
             reason += "use casadi.if_else(x > 0, a, b), casadi.logic_and and casadi.logic_not"

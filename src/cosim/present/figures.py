@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from math import ceil
 from textwrap import fill
 from typing import Any
@@ -18,7 +18,15 @@ from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
-from cosim.plotting import LINES, STYLE, Picture, invalid_text, keep_constant_flat, shade_invalid
+from cosim.plotting import (
+    LINES,
+    STYLE,
+    Picture,
+    invalid_text,
+    keep_constant_flat,
+    reject_formulas,
+    shade_invalid,
+)
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import apart, reject_other_times
@@ -214,6 +222,7 @@ def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:
 
 def _figure(spec: FigureSpec, runs: Sequence[Trajectory], differences: bool) -> Figure:
     """Draw a figure of one or more runs; every second panel shows differences if requested."""
+    reject_formulas((spec.title, spec.x_label, *spec.labels, *chain(*spec.legends)))
     count, several, over_time = len(spec.panels), len(runs) > 1, spec.x == "time"
     ratios = [2.0, 1.0] * count if differences else [1.0] * count
     height = 0.7 + (5.0 if spec.equal else 3.1 if count == 1 else 1.75) * count

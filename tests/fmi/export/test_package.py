@@ -193,7 +193,7 @@ def compiler(folder: Path, script: str) -> str:
 @pytest.mark.parametrize(
     ("script", "reason"),
     [
-        (None, "which does not exist"),
+        (None, "which is no program"),
         ("echo 'no space left' >&2; exit 1", "no space left"),
         ("printf 'caf\\351' >&2; exit 1", "failed"),
         ("exit 0", "failed"),  # it claims success, but there is no library

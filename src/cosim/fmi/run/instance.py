@@ -17,7 +17,7 @@ from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.archive import DESCRIPTION, flat_names
 from cosim.fmi.run.arrays import Access, Element
 from cosim.host.temporary import loads_no_library
-from cosim.text import Violation, sentence
+from cosim.text import Violation, described, sentence
 
 
 class Interface(StrEnum):
@@ -160,7 +160,7 @@ def read_description(folder: Path, name: object) -> Any:
         root = ET.parse(folder / DESCRIPTION).getroot()
         names = flat_names(root)
     except Exception as error:
-        reason = f"{type(error).__name__}: {sentence(str(error))}"
+        reason = described(error)
         raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
     if str(description.fmiVersion).startswith("1"):
         raise FmuError(f"{name} is of FMI 1.0, which cannot be run; export it as FMI 2.0 or 3.0")

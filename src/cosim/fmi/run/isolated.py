@@ -21,7 +21,7 @@ from cosim.host.last_call import calls_noted_in, last_called
 from cosim.host.limits import LIMITS_VARIABLE, chosen_limits
 from cosim.host.progress import doing
 from cosim.model.values import time_limit_from
-from cosim.text import sentence
+from cosim.text import described
 from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.pickle", "answer.json", "values.npz"
@@ -119,7 +119,7 @@ def _main(folder: Path) -> None:
         reason = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = {"error": "FmuError", "message": reason, "partial": False}
     except BaseException as error:
-        reason = f"{path}: it cannot be run: {type(error).__name__}: {sentence(str(error))}"
+        reason = f"{path}: it cannot be run: {described(error)}"
         answer = {"error": "FmuError", "message": reason, "partial": False}
     else:
         run.to_npz(folder / _VALUES)
