@@ -114,7 +114,8 @@ BROKEN = '"$\\\\frac{a$"'
 def test_a_broken_formula_in_a_text_is_quoted(figure, ending, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text(
-        f'model = "crank_shaft"\n[run]\nstop_time = 0.1\n[[figures]]\n{figure}\npanels = [["phi"]]\n'
+        'model = "crank_shaft"\n[run]\nstop_time = 0.1\n'
+        f'[[figures]]\n{figure}\npanels = [["phi"]]\n'
     )
     assert main(["plot", "a.toml", "-o", f"x.{ending}"]) == UsageError.exit_code
     printed = capsys.readouterr().err
