@@ -19,7 +19,7 @@ from cosim.presenters import presenter
 # know each other; names without one between them are one part. A name stands for all modules of
 # its folder ("cosim" does not).
 TABLE = """
-cosim._fmu | casadi_models | cosim.text | cosim.extensions
+cosim._fmu | casadi_models | cosim.text | cosim.extensions | cosim.argument_types
 cosim.errors | cosim.memo | cosim.arrays | cosim.presenters | cosim.colors
 cosim.host | cosim.model.quantities
 cosim.files

@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
     with deferred_signals():
         value = vars(import_module(module)).get(name) or import_module(f"{module}.{name}")
     if callable(value) and not isinstance(value, type):
-        value = import_module("cosim.errors").naming_keywords(value)
+        value = import_module("cosim.errors").naming_arguments(value)
         value.__module__ = "cosim"  # where pickle finds it
     globals()[name] = value
     return value

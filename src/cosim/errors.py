@@ -6,13 +6,14 @@ import reprlib
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from functools import wraps
-from inspect import signature
+from inspect import isfunction, signature
 from typing import Any, TypeVar
 
 from casadi_models import CATALOG
 from cosim.text import readable, shortened, visible
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
+_Class = TypeVar("_Class")
 
 
 class CosimError(Exception):
@@ -154,26 +155,55 @@ _ELSEWHERE = {  # keywords of other tools, by ours; the first that a function ha
 }
 
 
-def naming_keywords(function: _Call) -> _Call:
-    """Return a function that answers an unknown keyword with the one that is meant, or with all.
+def naming_arguments(function: _Call) -> _Call:
+    """Return a function that names a wrong argument.
+
+    It answers an unknown keyword with the one that is meant, or with all. Where it fails with an
+    exception that is not ours, and an argument is not of the annotated type, it says so.
 
     Raises:
         TypeError: The function has no such keyword.
+        UsageError: An argument has a type that it cannot use.
     """
-    known = dict[str, Any]()
+    known, takes_any = dict[str, Any](), False
     for own, one in signature(function).parameters.items():
-        unpacked = one.kind is one.VAR_KEYWORD  # Unpack[TypedDict]
-        known |= one.annotation.__args__[0].__annotations__ if unpacked else {own: one}
+        if one.kind is not one.VAR_KEYWORD:
+            known[own] = one.annotation
+        elif fields := getattr(one.annotation, "__args__", ()):  # Unpack[TypedDict]
+            known |= fields[0].__annotations__
+        else:
+            takes_any = True
 
     @wraps(function)
     def named(*values: Any, **keywords: Any) -> Any:
-        for name in keywords.keys() - known:
+        for name in () if takes_any else keywords.keys() - known:
             near = [k for k, others in _ELSEWHERE.items() if name in others.split()]
             near = [k for k in near if k in known] if near else get_close_matches(name, known, 1)
             every = shortened([*known], 12) or "none"
             hint = f"did you mean {near[0]}?" if near else f"it has {every}"
             call = f"{function.__name__}() got an unexpected keyword argument"
             raise TypeError(readable(f"{call} '{name}'; {hint}"))
-        return function(*values, **keywords)
+        try:
+            return function(*values, **keywords)
+        except CosimError:
+            raise
+        except Exception as error:
+            from cosim.argument_types import wrong_argument
+
+            if wrong := wrong_argument(function, known, values, keywords):
+                raise UsageError.of_type(*wrong) from error
+            raise
 
     return named  # type: ignore[return-value]
+
+
+def naming_arguments_of(kind: type[_Class]) -> type[_Class]:
+    """Decorate the constructor and the public methods of a class by `naming_arguments`."""
+    for name, method in list(vars(kind).items()):
+        if name != "__init__" and (name.startswith("_") or isinstance(method, staticmethod)):
+            continue
+        if isinstance(method, classmethod):
+            setattr(kind, name, classmethod(naming_arguments(method.__func__)))
+        elif isfunction(method):
+            setattr(kind, name, naming_arguments(method))
+    return kind

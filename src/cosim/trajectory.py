@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cosim.arrays import Vector, frozen
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import UnknownName, UsageError, naming_arguments_of
 from cosim.host.optional_packages import optional_module
 from cosim.presenters import presenter
 from cosim.series.csv_file import read_samples, repr_17, write_csv
@@ -56,6 +56,7 @@ class Event:
     after: Mapping[str, float]
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Trajectory:
     """Values of variables over time, in SI units.

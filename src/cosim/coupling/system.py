@@ -23,7 +23,7 @@ from cosim.errors import (
     ParameterError,
     SolverError,
     UsageError,
-    naming_keywords,
+    naming_arguments_of,
 )
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
@@ -40,6 +40,7 @@ from cosim.model.values import number, plain_values
 from cosim.trajectory import Trajectory
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)
 class System:
     """A coupled system; build one with `couple` or `read_ssp`.
@@ -158,7 +159,6 @@ class System:
         )
         return replace(dae, experiment=experiment)
 
-    @naming_keywords
     def simulate(
         self,
         *,

@@ -8,7 +8,7 @@ from typing import Any, TypedDict, Unpack
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.errors import UsageError, naming_keywords
+from cosim.errors import UsageError, naming_arguments
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.solvers import requested_solver
 from cosim.memo import cached_per_thread
@@ -67,7 +67,7 @@ _TIMES = ("start_time", "stop_time", "output_interval", "output_times")
 _POLICY = ("compiled", "on_invalid", "drift_control", "stop_when", "record_events")
 
 
-@naming_keywords
+@naming_arguments
 def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> RunRequest:
     """Return the request of a model and keywords; a keyword that is None is ignored.
 

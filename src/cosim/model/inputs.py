@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError, naming_arguments_of
 from cosim.series.csv_file import read_samples
 from cosim.series.samples import Column
 
@@ -21,6 +21,7 @@ SAME_TIME = 1e-12  # relative distance of times that differ by rounding only
 _SHORT = 0.1  # of the middle length of the intervals between samples
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class InputSeries:
     """Samples of inputs over time, in SI units.

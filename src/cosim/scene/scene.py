@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from casadi_models.dae import Dae
+from cosim.errors import naming_arguments_of
 from cosim.model.request import RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.text import html_table, text_table
@@ -10,6 +11,7 @@ from cosim.text import html_table, text_table
 WIDTH = 100  # characters per line at a prompt
 
 
+@naming_arguments_of
 @dataclass(frozen=True)
 class FigureSpec:
     """One figure: panels from top to bottom, each with one or more curves.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from casadi_models.units import converted, parse_unit
 from cosim.arrays import Vector
-from cosim.errors import ParameterError
+from cosim.errors import ParameterError, naming_arguments_of
 from cosim.series.curves import Curves
 from cosim.text import MOST_LINES, Table, text_table
 
@@ -19,6 +19,7 @@ NOT_GIVEN = 1.0  # nominal value of a variable for which the model sets none
 ROUNDING_OF_OTHERS = 1e-14  # relative size of a state that is a rounding error of another
 
 
+@naming_arguments_of
 @dataclass(frozen=True)
 class Column:
     """Metadata of a recorded variable.

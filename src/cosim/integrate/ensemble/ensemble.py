@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
-from cosim.errors import UnknownName
+from cosim.errors import UnknownName, naming_arguments_of
 from cosim.host.optional_packages import optional_module
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.text import MOST_LINES, Table, sentence, short_reason, text_table
@@ -37,6 +37,7 @@ class RunState(StrEnum):
     LOST = "lost"  # its process ended before it returned the run
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False, repr=False)  # arrays have no single truth value
 class Ensemble:
     """Values of variables over time for many runs of one model, in SI units.

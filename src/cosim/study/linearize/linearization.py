@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Truths, Vector
+from cosim.errors import naming_arguments_of
 from cosim.files import write_atomically
 from cosim.study.linearize.spectrum import Spectrum, blocks, without_influence
 from cosim.text import csv_text
@@ -73,6 +74,7 @@ def growth(value: Any, period: float | None) -> Any:
     return value.real if period is None else abs(value) - 1
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value
 class Linearization:
     """A, B, C, D of a model near a state, in SI units.

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from cosim.arrays import Truths, Vector
-from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError
+from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError, naming_arguments_of
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.host.signals import ended_by_signals
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False, repr=False)
 class SweepResult:
     """Results of the runs of a sweep, in the order of its samples.

@@ -7,7 +7,7 @@ from itertools import product
 from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.codegen.fmu.solver import solver_for
-from cosim.errors import ParameterError, UnknownName
+from cosim.errors import ParameterError, UnknownName, naming_arguments_of
 from cosim.integrate.preparation import controllable
 from cosim.integrate.solvers import SOLVERS, requested_solver
 from cosim.model.request import DriftControl, RunRequest, choice
@@ -87,6 +87,7 @@ class Configuration:
         return self.model, self.reduced, self.backend, self.solver, self.drift_control
 
 
+@naming_arguments_of
 @dataclass(frozen=True)
 class Selection:
     """The user's selection of configurations; the default is all of them.

@@ -1,0 +1,116 @@
+"""Whether an argument has the type that its annotation names; asked after a call has failed."""
+
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from inspect import Parameter, isclass, signature
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_WORDS = {
+    NoneType: "None",
+    bool: "True or False",
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+    os.PathLike: "a path",
+    Mapping: "values by name",
+    Callable: "a function",
+}
+_MANY = (Sequence, Collection, Iterable, list, tuple, set, frozenset)
+
+
+def wrong_argument(
+    function: Callable[..., Any],
+    annotations: Mapping[str, Any],
+    values: Sequence[Any],
+    keywords: Mapping[str, Any],
+) -> tuple[str, object, str] | None:
+    """Return the first argument that does not fit its annotation, for `UsageError.of_type`.
+
+    Args:
+        function: What was called.
+        annotations: By name; those that cannot be resolved fit everything.
+        values, keywords: The arguments.
+
+    Returns:
+        The argument as FUNCTION: NAME, its value, and what to give; None if all fit.
+    """
+    given = signature(function).bind_partial(*values).arguments | dict(keywords)
+    for name, value in given.items():
+        kind = annotations.get(name, Any)
+        if isinstance(kind, str):
+            kind = _resolved(kind, function.__globals__)
+        if not _fits(value, kind):
+            return f"{function.__qualname__}: {name}", value, " or ".join(_words(kind))
+    return None
+
+
+def _resolved(text: str, names: dict[str, Any]) -> Any:
+    with suppress(NameError, AttributeError, TypeError):  # of names for type checkers only
+        return eval(text, names)
+    return Any
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Tell whether a value can be used as an annotated type; unknown types fit everything."""
+    own, inner = get_origin(kind) or kind, get_args(kind)
+    if own in (Any, Parameter.empty):
+        return True
+    if kind == ArrayLike:
+        return _is_numeric(value)
+    if own in (Union, UnionType):
+        return any(_fits(value, each) for each in inner)
+    if own in (None, NoneType):
+        return value is None
+    if own is bool:
+        return isinstance(value, bool | np.bool_)
+    if own in (float, int):
+        number = Real if own is float else Integral
+        return isinstance(value, number) and not isinstance(value, bool) and _is_numeric(value)
+    if own is Mapping:
+        return isinstance(value, Mapping) and all(
+            _fits(part, each)
+            for each, parts in zip(inner, (value, value.values()), strict=False)
+            for part in parts
+        )
+    if own in _MANY:
+        parts = inner[:1] if own is not tuple or inner[1:] == (...,) else ()
+        return _is_iterable(value) and all(_fits(part, each) for each in parts for part in value)
+    if own is Callable:
+        return callable(value)
+    return not isclass(own) or getattr(own, "_is_protocol", False) or isinstance(value, own)
+
+
+def _is_numeric(value: Any) -> bool:
+    try:
+        return np.asarray(value, dtype=float).size >= 0
+    except (ValueError, TypeError, OverflowError, RuntimeError, NotImplementedError):
+        return False
+
+
+def _is_iterable(value: Any) -> bool:
+    if isinstance(value, str | bytes):
+        return False
+    try:
+        iter(value)
+    except TypeError:
+        return False
+    return True
+
+
+def _words(kind: Any) -> list[str]:
+    """Return what may be given, in words."""
+    own, inner = get_origin(kind) or kind, get_args(kind)
+    if kind == ArrayLike:
+        return ["numbers"]
+    if own in (Union, UnionType):
+        return list(dict.fromkeys(word for each in inner for word in _words(each)))
+    if own in _MANY:
+        return ["a list of texts" if str in inner else "a list"]
+    name = getattr(own, "__name__", str(own))
+    return [_WORDS.get(own, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")]
