@@ -15,7 +15,7 @@ import pytest
 from cosim.cli.main import main
 from cosim.errors import ParameterError
 from cosim.extensions import deferred_signals
-from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.isolated import run_apart
 from cosim.host.limits import MOST_WAIT
 from cosim.host.signals import time_limit
 from cosim.study.extremes.campaign import explore, select_cases
@@ -144,7 +144,7 @@ def test_a_time_limit_that_is_no_positive_time_is_rejected(verb, limit, capsys):
 
 @pytest.mark.parametrize("limit", [None, inf, MOST_WAIT, 2 * MOST_WAIT, 1e10, 10**12])
 def test_a_long_limit_of_an_fmu_limits_nothing(limit, exported):
-    assert len(simulate_apart(exported("bar_on_frame"), timeout=limit, stop_time=0.1)) > 1
+    assert len(run_apart(exported("bar_on_frame"), timeout=limit, stop_time=0.1)) > 1
     with time_limit(limit):
         pass
 
@@ -152,7 +152,7 @@ def test_a_long_limit_of_an_fmu_limits_nothing(limit, exported):
 @pytest.mark.parametrize("limit", [0, -1.0, float("nan"), -inf, True, "5", 10**400])
 def test_a_limit_that_is_no_positive_number_is_rejected(limit, exported):
     with pytest.raises(ParameterError, match="timeout = "):
-        simulate_apart(exported("bar_on_frame"), timeout=limit)
+        run_apart(exported("bar_on_frame"), timeout=limit)
 
 
 @posix

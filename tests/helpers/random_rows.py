@@ -85,6 +85,8 @@ def _command(draw: random.Random, _: bytes) -> Row:
     verb, model = draw.choice(_VERBS), draw.choice(_MODELS)
     options = [draw.choice(_BAD), *draw.choices(_BAD + 5 * _GOOD, k=draw.randrange(3))]
     draw.shuffle(options)
+    known = {option: (option, value) for option, value in options if (option, value) not in _GOOD}
+    options = [known.get(option, (option, value)) for option, value in options]  # the last counts
     words = [verb] + [model] * (verb not in ("list", "cache"))
     words += [word for option in options for word in option if word or option[0] != "-q"]
     return Row(" ".join(words)[:60], tuple(words), WRONG, "", output=True)

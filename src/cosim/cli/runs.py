@@ -26,7 +26,7 @@ from cosim.coupling.files import coupling_report, is_system, read_system, simula
 from cosim.coupling.system import System
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.archive import with_places
-from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
@@ -114,7 +114,7 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
         settings["master"] = args.master
     settings["start_values"] = start_values_of_fmu(args)
     require_trust(args.model, trusted=args.trust)
-    return simulate_apart(
+    return run_apart(
         args.model,
         interface=args.interface_type,
         inputs=inputs_in(args),
@@ -141,7 +141,7 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
             require_trust(file, trusted=args.trust, name=with_places(file, system.places))
     if all(is_made_here(file) for file in system.fmus):
         return system.simulate(**options)
-    return simulate_apart(args.model, timeout=args.timeout, function=simulate_file, **options)
+    return run_apart(args.model, timeout=args.timeout, function=simulate_file, **options)
 
 
 def runs_of(

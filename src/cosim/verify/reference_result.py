@@ -30,7 +30,7 @@ from cosim.fmi.archive import DESCRIPTION, entry_content, flat_names, opened
 from cosim.fmi.export.options import FmuKeywords
 from cosim.fmi.export.package import export_fmu, zipped
 from cosim.fmi.platforms import NATIVE
-from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.fmi.trust import is_made_here, remember
 from cosim.host.temporary import temporary_folder
@@ -164,7 +164,7 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
         raise FmuError(
             f"{path} carries no reference result; export it with cosim export"
         ) from error
-    apart = partial(simulate_apart, timeout=timeout)
+    apart = partial(run_apart, timeout=timeout)
     for check in _result_checks(path, run, tolerance, bound, apart, doubt):
         yield replace(check, against=against)
 

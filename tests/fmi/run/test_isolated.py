@@ -16,7 +16,7 @@ from helpers.small_models import decay
 
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName
-from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.isolated import run_apart
 from cosim.host.child import MOST_OUTPUT
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -61,7 +61,7 @@ def test_a_crash_is_one_sentence_with_the_signal(bad):
 
 def test_an_exit_is_told(bad):
     with pytest.raises(FmuError, match=r"bad\.fmu: the FMU ended the process with exit code 7"):
-        simulate_apart(bad, output_interval=BAD_STEPS["exit"], stop_time=1)
+        run_apart(bad, output_interval=BAD_STEPS["exit"], stop_time=1)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_what_it_prints_is_kept_out_of_the_results_and_short(bad):
 
 def test_a_good_run_is_that_of_our_own_process(bad):
     options = {"output_interval": 0.1, "stop_time": 0.5, "interface": "CoSimulation"}
-    here, there = cosim.simulate_fmu(bad, **options), simulate_apart(bad, **options)
+    here, there = cosim.simulate_fmu(bad, **options), run_apart(bad, **options)
     np.testing.assert_array_equal(there.values, here.values)
     np.testing.assert_array_equal(there.time, here.time)
     assert there.columns == here.columns
@@ -123,11 +123,11 @@ def test_a_good_run_is_that_of_our_own_process(bad):
 
 def test_errors_of_the_run_keep_their_kind(bad):
     with pytest.raises(UnknownName, match="interface"):
-        simulate_apart(bad, interface="ModelExchanges")
+        run_apart(bad, interface="ModelExchanges")
     with pytest.raises(ParameterError, match="timeout"):
-        simulate_apart(bad, timeout=float("nan"))
+        run_apart(bad, timeout=float("nan"))
     with pytest.raises(FmuError, match=r"^nowhere\.fmu|^cannot read nowhere\.fmu"):
-        simulate_apart("nowhere.fmu")
+        run_apart("nowhere.fmu")
 
 
 def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):
@@ -140,7 +140,7 @@ def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):
             super().__init__(*arguments, **options)
 
     monkeypatch.setattr(subprocess, "Popen", Spy)
-    simulate_apart(bad, output_interval=0.1, stop_time=0.1)
+    run_apart(bad, output_interval=0.1, stop_time=0.1)
     assert "PATH" in seen
     assert "SECRET_TOKEN" not in seen
 

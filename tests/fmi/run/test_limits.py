@@ -10,7 +10,7 @@ import pytest
 from helpers.hostile import hostile, hostile_binary
 
 from cosim.errors import FmuError, UsageError
-from cosim.fmi.run.isolated import simulate_apart
+from cosim.fmi.run.isolated import run_apart
 from cosim.host.limits import chosen_limits
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and /proc of Linux")
@@ -37,7 +37,7 @@ def bad(tmp_path_factory):
 def test_run_ends_at_its_limit(bad, monkeypatch, limit, fault, told):
     monkeypatch.setenv("COSIM_FMU_LIMITS", limit)
     with pytest.raises(FmuError, match=told):
-        simulate_apart(bad(fault), interface="CoSimulation", timeout=50)
+        run_apart(bad(fault), interface="CoSimulation", timeout=50)
 
 
 @pytest.mark.parametrize("text", ["memory", "memory=", "memory=-1", "disk=3", "cpu=nan"])
@@ -75,5 +75,5 @@ def test_what_a_killed_command_left_is_removed_by_the_next(bad, tmp_path, monkey
     process.wait()
     assert len(list(tmp_path.iterdir())) == 1
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    simulate_apart(bad("none at all"), interface="CoSimulation")
+    run_apart(bad("none at all"), interface="CoSimulation")
     assert list(tmp_path.iterdir()) == []

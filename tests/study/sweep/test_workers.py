@@ -1,5 +1,6 @@
 """Local processes of a sweep: modules of the current folder shadow none of theirs."""
 
+import os
 import subprocess
 import sys
 
@@ -32,6 +33,20 @@ def test_module_of_the_current_folder_shadows_nothing(tmp_path, name):
     done = sweep_in(tmp_path)
     assert done.stderr == ""
     assert done.stdout == "[0.15, 0.25, 0.35]\n"  # omega t + 5 t^2
+
+
+@pytest.mark.slow
+def test_workers_that_end_in_the_middle_leave_no_files(tmp_path):
+    (tmp_path / "measure.py").write_text("import os\ndef last(run): os._exit(1)\n")
+    (tmp_path / "temporary").mkdir()
+    call = CALL.replace('print([round(float(value), 12) for value in found["last"]])', "")
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", call],
+        cwd=tmp_path, env=os.environ | {"TMPDIR": str(tmp_path / "temporary")},
+        capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip
+    assert done.stderr == ""
+    assert not [*(tmp_path / "temporary").iterdir()]
 
 
 @pytest.mark.slow

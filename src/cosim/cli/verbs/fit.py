@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from functools import partial
 from typing import Any
 
 from cosim.cli.arguments import assigned, named_scene, names_in, start_numbers, value_in, value_of
@@ -9,6 +10,7 @@ from cosim.cli.measured import read_measured
 from cosim.cli.runs import model_columns
 from cosim.cli.tables import note, show_table
 from cosim.errors import UsageError
+from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.fit.fit import fit
@@ -46,10 +48,11 @@ def run(args: argparse.Namespace) -> int:
         for name, text in assigned("--noise", args.noise, "SIZE[UNIT]")
     }
     settings["relative_tolerance"] = args.relative_tolerance
-    found = fit(
+    fitted = partial(run_apart, timeout=args.timeout, function=fit) if dae is None else fit
+    found = fitted(
         model,
-        records,
-        unknowns,
+        measured=records,
+        parameters=unknowns,
         start_values=start,
         noise=noise or None,
         loss=args.loss,

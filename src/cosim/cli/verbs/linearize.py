@@ -3,6 +3,7 @@
 import argparse
 import json
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from cosim.cli.arguments import names_in, numbers_in, scene_from, start_values_of_fmu, value_of
 from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
+from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.linearize.linearization import Linearization, Mode
@@ -23,21 +25,22 @@ def run(args: argparse.Namespace) -> int:
     if args.figure and not args.along:
         raise UsageError("--figure draws the eigenvalues of --along; add --along NAME=A:B:N")
     model: Any = args.model
-    if args.model.endswith(".fmu"):
+    if foreign := args.model.endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
         start = start_values_of_fmu(args)
         outputs = names_in(args.outputs) if args.outputs else None
     else:
         request = scene_from(args).request
         model, start, outputs = request.dae, dict(request.values), request.outputs
+    evaluate = partial(run_apart, function=linearize) if foreign else linearize
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
         points = [*numbers_in("--at", args.at)]
     if args.along:
         if len(points) > 1:
             raise UsageError("--along needs a single point; give one time with --at")
-        return _along(args, model, points[0], start, outputs)
-    found = [linearize(model, at=point, start_values=start, outputs=outputs) for point in points]
+        return _along(args, evaluate, model, points[0], start, outputs)
+    found = [evaluate(model, at=point, start_values=start, outputs=outputs) for point in points]
     if args.output_file:
         if len(found) > 1:
             raise UsageError("-o writes the matrices of a single point; give one time")
@@ -52,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: Any) -> int:
+def _along(
+    args: argparse.Namespace, evaluate: Any, model: Any, at: Any, start: Any, outputs: Any
+) -> int:
     name, equals, span = (part.strip() for part in args.along.partition("="))
     parts = [part.strip() for part in span.split(":")]
     if not equals or len(parts) != 3 or not parts[2].isdigit():
@@ -61,7 +66,7 @@ def _along(args: argparse.Namespace, model: Any, at: Any, start: Any, outputs: A
     reject_mixed_units(f"--along {name}", parts[:2])
     first, last = (value_of(dae, name, part) for part in parts[:2])
     values = np.linspace(first, last, int(parts[2])).tolist()
-    found = linearize(model, along={name: values}, at=at, start_values=start, outputs=outputs)
+    found = evaluate(model, along={name: values}, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, csv_text(found.rows()))
     if args.figure:

@@ -25,24 +25,26 @@ from cosim.text import described
 from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER, _VALUES = "request.pickle", "answer.json", "values.npz"
+_RESULT = "result.pickle"  # other than a Trajectory
+_BROKEN = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, EOFError)
 _SUNDIALS = "[ERROR][rank"  # the start of a message that the error repeats
 
 
-def simulate_apart(
+def run_apart(
     path: str | os.PathLike[str],
     *,
     timeout: float | None = None,
-    function: Callable[..., Trajectory] = simulate_fmu,
+    function: Callable[..., Any] = simulate_fmu,
     **options: Any,
-) -> Trajectory:
-    """Simulate an FMU like `simulate_fmu`, in a child process with the limits of `chosen_limits`.
+) -> Any:
+    """Run `function(path, **options)` in a child process with the limits of `chosen_limits`.
 
     The child works in an empty folder of its own, without the environment and open files of the
     parent, and ends with every process that it started. The first 10 kB of its output go to stderr.
 
     Args:
         timeout: Wall time, s, after which the child is ended; None or infinity for no limit.
-        function: What simulates the file, of a module.
+        function: What runs the file, of a module; `simulate_fmu` if it is not given.
         options: Of that function; of inputs, formulas and series.
 
     Raises:
@@ -70,13 +72,13 @@ def simulate_apart(
             raise FmuError(f"{path}: {what} did not end within {limit:g} s and was stopped")
         try:
             return _read_answer(folder, place, str(path))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (*_BROKEN, pickle.UnpicklingError) as error:
             raise FmuError(
                 f"{path}: {what} {how_it_ended(code)} while it ran; do not use it"
             ) from error
 
 
-def _read_answer(folder: Path, place: str, name: str) -> Trajectory:
+def _read_answer(folder: Path, place: str, name: str) -> Any:
     answer = json.loads((folder / _ANSWER).read_text())
     if "error" in answer:
         kind = getattr(errors, answer["error"])
@@ -84,6 +86,8 @@ def _read_answer(folder: Path, place: str, name: str) -> Trajectory:
         if answer["partial"]:
             raise kind(message, partial=Trajectory.from_npz(folder / _VALUES))
         raise kind(message)
+    if (folder / _RESULT).exists():
+        return pickle.loads((folder / _RESULT).read_bytes())
     try:
         return Trajectory.from_npz(folder / _VALUES)
     except UsageError as error:
@@ -122,7 +126,10 @@ def _main(folder: Path) -> None:
         reason = f"{path}: it cannot be run: {described(error)}"
         answer = {"error": "FmuError", "message": reason, "partial": False}
     else:
-        run.to_npz(folder / _VALUES)
+        if isinstance(run, Trajectory):
+            run.to_npz(folder / _VALUES)
+        else:
+            (folder / _RESULT).write_bytes(pickle.dumps(run))
         answer = {}
     (folder / _ANSWER).write_text(json.dumps(answer))
     leave()

@@ -12,6 +12,7 @@ from cosim.arrays import Vector
 from cosim.errors import CosimError, UsageError
 from cosim.host.child import Child
 from cosim.host.optional_packages import optional_module
+from cosim.host.temporary import temporary_folder
 from cosim.study.sweep.block import Block, Job, joined
 from cosim.study.sweep.samples import Samples
 
@@ -60,27 +61,30 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
     with ExitStack() as stack:
         # a block is tried on two workers, then each of its runs alone on two
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 1}))
+        folder = str(stack.enter_context(temporary_folder()))  # dask leaves what it writes
+        stack.enter_context(dask.config.set({"temporary-directory": folder}))
         for name in ("distributed", "distributed.client"):  # which dask gives levels of their own
             logging.getLogger(name).setLevel(logging.CRITICAL)  # also after the end
         ports: Any = {"dashboard_address": None, "scheduler_kwargs": {"dashboard_address": ":0"}}
         local = distributed.LocalCluster(n_workers=0, silence_logs=False, **ports)
         cluster = stack.enter_context(local)
         client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        stack.enter_context(_working(client, cluster.scheduler_address, workers))
+        stack.enter_context(_working(client, cluster.scheduler_address, workers, folder))
         yield client
 
 
 @contextmanager
-def _working(client: Any, scheduler: str, workers: int) -> Iterator[None]:
+def _working(client: Any, scheduler: str, workers: int, folder: str) -> Iterator[None]:
     """Run a process for each worker, and another one in its place when a run ends it."""
     # dask's own processes would run the user's script again, which needs a guard in it
     words = [scheduler, "--no-nanny", "--nthreads", "1", "--no-dashboard", "--death-timeout", "60"]
-    quiet = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
+    settings = {"DISTRIBUTED__LOGGING__DISTRIBUTED": "critical", "TEMPORARY_DIRECTORY": folder}
+    environment = {f"DASK_{name}": value for name, value in settings.items()}
     done = Event()
 
     def work() -> None:
         for _ in range(_MOST_PROCESSES):
-            with Child(_WORKER, words, environment=quiet) as child:
+            with Child(_WORKER, words, environment=environment) as child:
                 while child.wait(0.1) is None:
                     if done.wait(0.1):
                         return
