@@ -1,5 +1,7 @@
 """`cosim` and `python -m cosim`: the command line."""
 
+import atexit
+import os
 import signal
 import sys
 
@@ -29,10 +31,15 @@ def command() -> int:
     """Run the command line as all that this process is for; return the exit code.
 
     When it is done Ctrl-C has nothing left to end, and only the word of a process that Python is
-    leaving would say so.
+    leaving would say so. After Ctrl-C, Python itself might end with SIGINT instead of the code: it
+    does so if the exception went through an `exec`, as those of dataclasses, though it was handled.
     """
     code = main(own_process=True)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if code == 130:
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        os._exit(code)
     return code
 
 

@@ -2,8 +2,8 @@
 
 import errno
 import os
+import secrets
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,16 +47,13 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         for left in leftovers(place.parent, _prefix(place)):
             if left.is_file():
                 Path(left).unlink(missing_ok=True)
-        temporary = _sibling(place)
-        try:
+        with _sibling(place) as temporary:
             with temporary.open("wb") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.chmod(mode)
             temporary.replace(place)
-        finally:
-            temporary.unlink(missing_ok=True)
 
 
 def opened_plain(
@@ -108,7 +105,8 @@ def reject_unwritable(target: str | os.PathLike[str]) -> None:
     with _explained(target):
         place = _place(target)
         if not place.exists() or place.is_file():
-            _sibling(place).unlink()
+            with _sibling(place):
+                pass
 
 
 def _place(target: str | os.PathLike[str]) -> Path:
@@ -122,11 +120,16 @@ def _prefix(place: Path) -> str:
     return f".{place.name[:40]}."
 
 
-def _sibling(place: Path) -> Path:
-    prefix = f"{_prefix(place)}{process_mark()}-"
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=prefix)
-    os.close(handle)
-    return Path(name)
+@contextmanager
+def _sibling(place: Path) -> Iterator[Path]:
+    """Yield a new file beside another one, removed afterwards; a signal may come at any moment."""
+    name = f"{_prefix(place)}{process_mark()}-{secrets.token_hex(4)}"
+    temporary = place.with_name(name)  # known before it exists
+    try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """Runs rows of the table and counts how they end badly: `pytest tests/faults` prints the counts."""
 
 import itertools
-import os
 import re
 import shlex
 import signal
@@ -9,11 +8,11 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from helpers.fault_rows import ANY, HERE, WRONG, Row
 from helpers.hostile import hostile, hostile_binary
+from helpers.left_processes import left_processes
 
 from cosim.cli.main import main
 
@@ -79,7 +78,7 @@ def ends_well(request, tmp_path, monkeypatch, capfd, counts):
             wrong["silent"] = f"{row.expected[0]} has other results: {printed.err}"
         if sorted(place.iterdir()) != before or any(temporary.iterdir()):
             wrong["leftover"] = str([*place.iterdir(), *temporary.iterdir()])
-        if orphans := _children(str(temporary)):
+        if orphans := left_processes(str(temporary)):
             wrong["orphan"] = str(orphans)
         counts.update(["rows", *wrong])
         return wrong
@@ -142,17 +141,3 @@ def _apart(words: list[str], shell: str) -> int | str:
         process.kill()
         process.wait()
         return "hang"
-
-
-def _children(place: str) -> list[str]:
-    """Return the processes that a row has left: ours, or with its folder in their environment."""
-    left = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (entry / "environ").read_bytes()
-            state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
-        except OSError:
-            continue
-        if place.encode() in environment and int(entry.name) != os.getpid() and state != "Z":
-            left.append(entry.name)
-    return left

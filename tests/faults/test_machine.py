@@ -115,6 +115,19 @@ def test_ctrl_c_while_python_leaves_changes_nothing():
     assert "bicycle" in done.stdout
 
 
+def test_exit_code_after_ctrl_c_is_130_wherever_it_was_raised():
+    code = (
+        "import sys\n"
+        "from cosim.cli.verbs import info\n"
+        "def run(args): exec('raise KeyboardInterrupt')\n"
+        "info.run = run\n"
+        "from cosim.__main__ import command\n"
+        "sys.exit(command())\n"
+    )
+    done = cosim_list(code)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
 def test_command_line_leaves_ctrl_c_to_the_program_that_calls_it():
     code = (
         "import signal, sys\n"

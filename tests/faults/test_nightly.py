@@ -6,6 +6,7 @@ The environment's COSIM_NIGHTLY scales it: 0.01 is a hundredth.
 import os
 import random
 import signal
+import subprocess
 import sys
 import time
 import zipfile
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from helpers.harness import SANITIZED, THREADED, fuzzers, run
+from helpers.left_processes import left_processes
 from helpers.random_rows import random_rows
 
 from cosim.cli.main import main
@@ -93,6 +95,84 @@ def test_killed_command_leaves_the_old_file_or_the_new_one(tmp_path, monkeypatch
     assert sorted(path.name for path in tmp_path.iterdir()) == before
     with zipfile.ZipFile("crank.fmu") as archive:
         assert archive.testzip() is None
+
+
+LONG_VERBS = {
+    "simulate": "bicycle --solver cvodes --stop-time 3000 -o run.csv",
+    "simulate an FMU": "crank.fmu --trust --stop-time 1e5 -o run.csv",
+    "simulate a system": "pair.toml --method iterated --stop-time 1e5 -o run.csv",
+    "export": "bicycle -o bicycle.fmu",
+    "plot": "bicycle --solver dop853 --stop-time 3000 -o run.png",
+    "animate": "bicycle -o run.html",
+    "report": "crank_shaft -o run.html",
+    "crosscheck": "bicycle",
+    "tradeoff": "crank_shaft",
+    "extremes": "crank_shaft",
+    "sweep": "bicycle -p phi_dot=0:1:4000 --workers 2 -o runs.csv",
+    "sensitivity": "bicycle -o s.csv",
+    "linearize": "bicycle --along thetaR_dot=-3:-30:400 -o l.csv",
+    "check": "crank.fmu --run --trust",
+    "fit": "crank_shaft data.csv --free alpha,omega --starts 400 -o fitted.toml",
+}
+SIGNALS = 30
+WRITTEN = {"run.csv", "bicycle.fmu", "run.png", "run.html", "runs.csv", "s.csv", "l.csv"}
+
+
+@pytest.mark.parametrize("verb", LONG_VERBS)
+def test_a_signal_at_any_moment_ends_a_verb_in_one_sentence(verb, exported, tmp_path, counts):
+    words = [verb.split()[0], *LONG_VERBS[verb].split()]
+    pair = "[parts]\na = 'crank_shaft'\nb = 'bar_on_frame'\n[connections]\n'b.T2' = 'a.T'\n"
+    files = {"crank.fmu": exported("crank_shaft").read_bytes(), "pair.toml": pair.encode()}
+    files["data.csv"] = "".join(["time,phi\n", *(f"{k},{k * k}\n" for k in range(4))]).encode()
+    draw = random.Random(verb)
+    wrong = {}
+    for number in range(max(1, round(SCALE * SIGNALS))):
+        place, temporary = tmp_path / f"{number}", tmp_path / f"{number} temporary"
+        for folder in (place, temporary):
+            folder.mkdir()
+        for name, content in files.items():
+            (place / name).write_bytes(content)
+        kind, delay = draw.choice((signal.SIGINT, signal.SIGTERM)), draw.uniform(0.02, 3)
+        found = _signaled(words, place, temporary, kind, delay)
+        counts.update(["rows", *found])
+        if found:
+            wrong[f"{number}: {kind.name} after {delay:.3f} s"] = found
+    assert wrong == {}
+
+
+def _signaled(words, place, temporary, kind, delay):
+    """Return what is wrong with the end of a command that gets a signal."""
+    code = "import sys; print(flush=True); from cosim.__main__ import command; sys.exit(command())"
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", code, *words],
+        cwd=place, env=os.environ | {"TMPDIR": str(temporary)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    before = {path.name for path in place.iterdir()}
+    process.stdout.readline()  # Python itself has started
+    time.sleep(delay)
+    process.send_signal(kind)
+    began = time.monotonic()
+    try:
+        _, err = process.communicate(timeout=30)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return {"hang": process.communicate()[1]}
+    wrong = {}
+    if time.monotonic() - began > 5:
+        wrong["hang"] = f"{time.monotonic() - began:.1f} s"
+    if "Traceback" in err or "Exception ignored" in err:
+        wrong["traceback"] = err
+    code, done = process.returncode, {path.name for path in place.iterdir()} - before
+    if code not in (130, -signal.SIGTERM, 0, 4):  # it may have ended before
+        wrong["other"] = f"{code}: {err}"
+    if code == 130 and [line for line in err.splitlines() if "interrupted" in line] == []:
+        wrong["other"] = f"not told: {err}"
+    if done - WRITTEN or any(temporary.iterdir()):
+        wrong["leftover"] = str([*done, *temporary.rglob("*")])
+    if orphans := left_processes(str(temporary)):
+        wrong["orphan"] = str(orphans)
+    return wrong
 
 
 def _kill_while_writing(words, ends, seconds):

@@ -278,7 +278,8 @@ def _misbehaving() -> Iterator[Row]:
         kind = "ModelExchange" if "Derivatives" in fault else "CoSimulation"
         words = ("simulate", fault, "--trust", "--interface-type", kind, "--timeout", "5")
         yield Row(f"FMU {fault}", words, 1, told)
-    for fault, told in {"GetDirectionalDerivative segv": "SIGSEGV", "Instantiate exit 3": "code 3"}.items():
+    own = {"GetDirectionalDerivative segv": "SIGSEGV", "Instantiate exit 3": "code 3"}
+    for fault, told in own.items():
         yield Row(f"linearize FMU {fault}", ("linearize", f"fmi2{fault}", "--trust"), 1, told)
     for fault in ("child", "daemon", "leave", "litter", "escape"):
         words = ("simulate", f"fmi2DoStep {fault}", "--trust")

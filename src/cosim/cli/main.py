@@ -19,7 +19,7 @@ from cosim.cli.verbs import ALIASES, VERBS
 from cosim.errors import CosimError
 from cosim.files import reject_unwritable
 from cosim.host.progress import shown_on_terminal
-from cosim.host.signals import time_limit
+from cosim.host.signals import ended_by_signals, time_limit
 from cosim.text import described, visible
 
 _OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -138,7 +138,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            return _run_words(sys.argv[1:] if arguments is None else arguments, arguments is None)
+            if arguments is not None:
+                return _run_words(arguments, own_process=False)
+            with ended_by_signals():
+                return _run_words(sys.argv[1:], own_process=True)
         finally:
             print(end="", flush=True)  # errors of standard output are raised here
     except BrokenPipeError:  # the reader of the results has ended, as in `cosim info | head`
@@ -150,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _run_words(words: Sequence[str], own_process: bool) -> int:
+def _run_words(words: Sequence[str], *, own_process: bool) -> int:
     args = _parsed(words)
     named = [value for name, value in vars(args).items() if name != "output_file"]
     given = [word for value in named for word in (value if isinstance(value, list) else [value])]

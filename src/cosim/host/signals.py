@@ -89,27 +89,24 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Leave this context before SIGTERM or SIGHUP ends the process."""
+    """Leave this context, as after Ctrl-C, before SIGTERM or SIGHUP ends the process."""
     kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
     usual = current_thread() is main_thread()
     kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
 
+    received: list[int] = []
+
     def end(number: int, _frame: FrameType | None) -> None:
-        raise _Ended(number)
+        received.append(number)
+        signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
+        raise KeyboardInterrupt
 
     for kind in kinds:
         signal.signal(kind, end)
     try:
         yield
-    except _Ended as ended:
-        (number,) = ended.args
-        signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
-        raise
     finally:
         for kind in kinds:
             signal.signal(kind, signal.SIG_DFL)
-
-
-class _Ended(BaseException):
-    """A signal, by its number, that ends the process."""
+        for number in received[:1]:
+            os.kill(os.getpid(), number)
