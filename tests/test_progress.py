@@ -180,7 +180,7 @@ def lines(text):
 def test_export_shows_the_remaining_platforms_and_the_time_left(monkeypatch):
     ends = {name: threading.Event() for name in ("linux64", "win64")}
 
-    def compiled(_sources, _name, target):
+    def compiled(_sources, _name, target, _halted):
         assert ends[target.folder(2)].wait(10)
         return b"library"
 

@@ -107,6 +107,22 @@ def test_ctrl_c_in_the_first_second_of_an_export_ends_it_in_one_word(delay, tmp_
         assert (said, left) == (b"interrupted\n", set())
 
 
+@posix
+def test_ctrl_c_ends_the_compiler_of_an_export(tmp_path):
+    compiler = tmp_path / "compiler"
+    compiler.write_text(f"#!/bin/sh\n: >{tmp_path}/began\nsleep 60\n")
+    compiler.chmod(0o755)
+    words = [sys.executable, "-m", "cosim", "export", "crank_shaft", "-o", f"{tmp_path}/x.fmu"]
+    own = os.environ | {"CC": str(compiler), "COSIM_CACHE": str(tmp_path / "cache")}
+    process = subprocess.Popen(words, env=own, stderr=subprocess.PIPE)
+    while not (tmp_path / "began").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=10)[1] == b"interrupted\n"  # measured 0.3 s
+    assert process.returncode == 130
+
+
 FOLDER = """
 import os, signal
 from cosim.codegen.compiler import compiling

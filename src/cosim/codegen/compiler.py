@@ -21,6 +21,7 @@ from contextvars import ContextVar
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 from time import perf_counter
 from types import MappingProxyType
 
@@ -116,6 +117,7 @@ def compile_library(
     include: Sequence[Path] = (),
     options: Sequence[str] = (),
     command: Sequence[str] | None = None,
+    halted: Event | None = None,
 ) -> Path:
     """Compile C sources to a shared library.
 
@@ -123,6 +125,7 @@ def compile_library(
         target: The library, replaced when the compiler succeeds; the compiler's temporary files
             go to its folder.
         command: The compiler; `find_compiler()` when None.
+        halted: Ends the compiler when it is set, for one that runs in another thread.
 
     Raises:
         MissingTool: There is no compiler, or it fails; the message quotes its last lines.
@@ -139,7 +142,7 @@ def compile_library(
         arguments = [word for word in arguments if not _LEVEL.fullmatch(word)]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
-        failed, output = _output_of(call, target.parent)
+        failed, output = _output_of(call, target.parent, halted)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(
             f"{call[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"
@@ -159,7 +162,7 @@ def compile_library(
     return target
 
 
-def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
+def _output_of(call: Sequence[str], folder: Path, halted: Event | None) -> tuple[int, str]:
     """Run a compiler, which ends with its caller; return its exit code and its output."""
     watched = sys.platform != "win32"
     held, end = os.pipe() if watched else (subprocess.DEVNULL, subprocess.DEVNULL)
@@ -171,7 +174,7 @@ def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
             start_new_session=True, env=os.environ | places,
         )  # fmt: skip
         try:
-            process.wait(TIMEOUT)
+            _wait(process, halted)
         finally:  # done, too late, or interrupted: children may be left
             with suppress(OSError):
                 os.killpg(process.pid, signal.SIGKILL) if watched else process.kill()
@@ -183,6 +186,16 @@ def _output_of(call: Sequence[str], folder: Path) -> tuple[int, str]:
     if watched and process.returncode in (126, 127):  # of a shell: no program, or not found
         raise OSError(printed.strip())
     return process.returncode, printed
+
+
+def _wait(process: subprocess.Popen[bytes], halted: Event | None) -> None:
+    if halted is None:
+        process.wait(TIMEOUT)
+        return
+    began = perf_counter()
+    while process.poll() is None and not halted.wait(0.02):
+        if perf_counter() - began > TIMEOUT:
+            raise subprocess.TimeoutExpired(process.args, TIMEOUT)
 
 
 def cached_library(

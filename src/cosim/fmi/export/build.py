@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 
 from cosim.codegen.c_sources import cache_folder, runtime_sources
 from cosim.codegen.cache import content_of, private_folder, store
@@ -31,10 +32,11 @@ def binaries(
         ExportError: The cache folder cannot be written.
     """
     every = [target for members in chosen.values() for target in members]
+    halted = Event()
     left = {target: folder for folder, members in chosen.items() for target in members}
 
     def library(target: Target) -> bytes:
-        content = compiled_library(sources, name, target)
+        content = compiled_library(sources, name, target, halted)
         left.pop(target)
         return content
 
@@ -45,7 +47,10 @@ def binaries(
         ),
         ThreadPoolExecutor(os.cpu_count()) as pool,  # the threads wait for compilers
     ):
-        compiled = dict(zip(every, pool.map(library, every), strict=True))
+        try:
+            compiled = dict(zip(every, pool.map(library, every), strict=True))
+        finally:
+            halted.set()  # if one fails, or after Ctrl-C, nobody waits for the others
     return {
         f"binaries/{folder}/{name}{members[0].suffix}": compiled[members[0]]
         if len(members) == 1
@@ -54,8 +59,13 @@ def binaries(
     }
 
 
-def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) -> bytes:
-    """Return a shared library for one target, compiled if it is not in the cache."""
+def compiled_library(
+    sources: Mapping[str, bytes], name: str, target: Target, halted: Event | None = None
+) -> bytes:
+    """Return a shared library for one target, compiled if it is not in the cache.
+
+    `halted` ends the compiler when it is set.
+    """
     library = f"{name}{target.suffix}"
     given = target.command()
     command = given or find_compiler()
@@ -84,6 +94,7 @@ def compiled_library(sources: Mapping[str, bytes], name: str, target: Target) ->
                 include=[fmi_headers()],
                 options=[f"-ffile-prefix-map={build}=.", *options],
                 command=command,
+                halted=halted,
             ).read_bytes()
         store(entry, content)
     except CacheError as error:
