@@ -11,7 +11,14 @@ import pytest
 from helpers.small_models import decay
 
 import cosim
-from cosim.errors import _ELSEWHERE, CosimError, ParameterError, UnknownName, UsageError
+from cosim.errors import (
+    _ELSEWHERE,
+    CosimError,
+    ParameterError,
+    UnknownName,
+    UsageError,
+    naming_arguments,
+)
 from cosim.text import readable
 
 DAE = decay()
@@ -244,6 +251,46 @@ def test_long_message_is_shortened_in_linear_time(text):
     began = perf_counter()
     assert len(readable(text * 200_000)) < 6100
     assert perf_counter() - began < 5  # measured 0.1 s; 100 s if every bracket were followed
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (
+            lambda: cosim.couple({"a": DAE}, [1]),
+            "couple: connections was given [1], of type list; give val",
+        ),
+        (lambda: cosim.grid(3), "grid: axes was given 3, of type int; give values by name"),
+        (
+            lambda: cosim.read_ssp(3),
+            "read_ssp: path was given 3, of type int; give a text or a path",
+        ),
+        (lambda: cosim.write_ssp("x", 3, []), "write_ssp: components was given 3"),
+        (lambda: cosim.animate(3), "give a Trajectory or a list or a Dae"),
+        (
+            lambda: cosim.design("sobol", "2", {"x": (0, 1)}),
+            "design: runs was given '2', of type str",
+        ),
+        (lambda: cosim.sensitivity(DAE, start_values=3), "sensitivity: start_values was given 3"),
+        (lambda: cosim.export_fmu(DAE, "x.fmu", platforms=3), "give a list of texts"),
+        (
+            lambda: RUN.plot(3),
+            "Trajectory.select: names was given 3, of type int; give a text or",
+        ),
+        (lambda: RUN.to_mat(3), "Trajectory.to_mat: target was given 3"),
+    ],
+    ids=lambda value: value[:20] if isinstance(value, str) else "",
+)
+def test_argument_that_does_not_fit_its_annotation_is_named(call, told):
+    assert told in refusal(UsageError, call)
+
+
+def test_exceptions_of_calls_whose_arguments_fit_are_left_alone():
+    def fails(run):
+        raise ZeroDivisionError("own")
+
+    with pytest.raises(ZeroDivisionError, match="own"):
+        naming_arguments(lambda run: fails(run))(RUN)
 
 
 # -- keywords of other tools ---------------------------------------------------------------------

@@ -33,7 +33,7 @@ def described(error: BaseException) -> str:
     """Return type and message of a foreign exception as one line of bounded length."""
     try:
         message = str(error)
-    except Exception:  # of a class that somebody else wrote
+    except Exception:  # of a class of the user
         message = ""
     return sentence(f"{type(error).__name__}: {message}").removesuffix(":")
 

@@ -114,13 +114,14 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
         settings["master"] = args.master
     settings["start_values"] = start_values_of_fmu(args)
     require_trust(args.model, trusted=args.trust)
-    return run_apart(
+    run: Trajectory = run_apart(
         args.model,
         interface=args.interface_type,
         inputs=inputs_in(args),
         outputs=None if args.outputs is None else names_in(args.outputs),
         **settings,
     )
+    return run
 
 
 def _co_simulation(args: argparse.Namespace) -> Trajectory:
@@ -141,7 +142,9 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
             require_trust(file, trusted=args.trust, name=with_places(file, system.places))
     if all(is_made_here(file) for file in system.fmus):
         return system.simulate(**options)
-    return run_apart(args.model, timeout=args.timeout, function=simulate_file, **options)
+    own = {"timeout": args.timeout, "function": simulate_file}
+    run: Trajectory = run_apart(args.model, **own, **options)
+    return run
 
 
 def runs_of(

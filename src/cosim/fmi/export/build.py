@@ -50,7 +50,7 @@ def binaries(
         try:
             compiled = dict(zip(every, pool.map(library, every), strict=True))
         finally:
-            halted.set()  # if one fails, or after Ctrl-C, nobody waits for the others
+            halted.set()  # if one fails, and after Ctrl-C, the other compilers end
     return {
         f"binaries/{folder}/{name}{members[0].suffix}": compiled[members[0]]
         if len(members) == 1
