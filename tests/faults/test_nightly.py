@@ -132,6 +132,7 @@ def test_a_signal_at_any_moment_ends_a_verb_in_one_sentence(verb, exported, tmp_
             folder.mkdir()
         for name, content in files.items():
             (place / name).write_bytes(content)
+        # before 0.1 s Python itself starts, which ends with a traceback
         kind, delay = draw.choice((signal.SIGINT, signal.SIGTERM)), draw.uniform(0.1, 3)
         found = _signaled(words, place, temporary, kind, delay)
         counts.update(["rows", *found])
