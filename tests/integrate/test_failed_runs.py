@@ -275,3 +275,13 @@ def wait_for(terminal, told):
     while not re.search(told, text):
         assert select.select([terminal], [], [], 60)[0], text
         text += os.read(terminal, 4096)
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas", "erk", "rosenbrock", "rk4"])
+def test_equation_without_a_value_at_the_start_is_named(solver):
+    model = Model("pole", stop_time=1.0)
+    x, v = model.state("x", "m", 0.0, "position"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, 1)
+    model.derivative(v, v / x)
+    with pytest.raises(SolverError, match="the derivative of v is not a number at the start"):
+        cosim.simulate(model.freeze(), solver=solver, compiled=False)

@@ -6,6 +6,7 @@ from functools import partial
 from math import isfinite
 from time import perf_counter
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,10 +64,23 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
         u = input_values(dae, grid, first, problem.inputs)
         return Motion(dae, grid, states, guesses, u, Counts()), []
     found = integrate(problem, solver, start)
+    if found.reason and (name := _rate_without_value(dae, float(grid[0]), start)):
+        found.reason = (
+            f"the derivative of {name} is not a number at the start; start elsewhere, or write "
+            "casadi.if_else where its equation divides by 0 or leaves the range of a function"
+        )
     invalid = list[Breach]()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
         invalid, found.reason = _step_check(problem, solver, found, start)
     return found, invalid
+
+
+def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
+    """Return the first state whose derivative is not finite at the start; empty if there is none."""
+    rates = ca.Function("rates", dae.arguments, [dae.ode])
+    values = start.values
+    missing = ~np.isfinite(np.array(rates(t, start.x, start.z, values.u, values.p)).ravel())
+    return dae.states[int(np.argmax(missing))].name if missing.any() else ""
 
 
 def _evaluated(
