@@ -21,7 +21,7 @@ from cosim.arrays import Vector, frozen
 from cosim.errors import UnknownName, UsageError, naming_arguments_of
 from cosim.host.optional_packages import optional_module
 from cosim.presenters import presenter
-from cosim.series.csv_file import read_samples, repr_17, write_csv
+from cosim.series.csv_file import read_samples, shortest, write_csv
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
 from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 SHOWN_PANELS = 6  # of the picture in a notebook
 
-__all__ = ["Column", "Trajectory", "repr_17"]
+__all__ = ["Column", "Trajectory", "shortest"]
 
 
 @dataclass(frozen=True)
@@ -363,7 +363,7 @@ class Trajectory:
         return table
 
     def to_csv(self, target: str | os.PathLike[str] | TextIO, *, units: str = "si") -> None:
-        """Write `time` and every variable with 17 significant digits.
+        """Write `time` and every variable, with the fewest digits that read back to the same bits.
 
         Args:
             target: File name, replaced atomically, or an open text file.

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.series import csv_file
-from cosim.series.csv_file import repr_17, write_csv
+from cosim.series.csv_file import shortest, write_csv
 from cosim.series.samples import Column
 from cosim.trajectory import Trajectory
 
@@ -25,7 +25,7 @@ def test_every_row_is_written_once_and_every_number_in_17_digits(n, monkeypatch)
     stream = io.StringIO()
     write_csv(stream, [Column(name) for name in "abc"], time, values, "si")
     rows = np.column_stack((time, values)).tolist()
-    expected = ["time,a,b,c", *(",".join(map(repr_17, row)) for row in rows)]
+    expected = ["time,a,b,c", *(",".join(map(shortest, row)) for row in rows)]
     assert stream.getvalue().splitlines() == expected
 
 
@@ -109,3 +109,11 @@ def test_commas_beside_decimal_points_are_rejected(tmp_path):
     path.write_text("time;x\n0;1,234\n1.5;2\n")
     with pytest.raises(ParameterError, match="'1,234' is not a number"):
         Trajectory.read_csv(path)
+
+
+def test_digits_are_the_fewest_that_read_back():
+    stream = io.StringIO()
+    values = np.array([[0.1 + 0.2, 2.0, -0.0], [5e-324, 1e22, 1 / 3]])
+    write_csv(stream, [Column(name, "1") for name in "abc"], np.array([0.03, 0.04]), values, "si")
+    lines = ["0.03,0.30000000000000004,2,-0", "0.04,5e-324,1e+22,0.3333333333333333"]
+    assert stream.getvalue().splitlines()[1:] == lines

@@ -15,7 +15,7 @@ from cosim.fmi.run.instance import REALS, unit_of
 from cosim.fmi.run.typed_values import RANGES, start_number
 from cosim.fmi.units import definitions
 from cosim.model.values import number
-from cosim.trajectory import repr_17
+from cosim.trajectory import shortest
 
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
@@ -39,7 +39,7 @@ def parameter_set(
     for variable, value in values.items():
         entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=variable)
         measured = {"unit": used[variable]} if variable in used else {}
-        kind, text = _kind(known[variable]), repr_17(value)
+        kind, text = _kind(known[variable]), shortest(value)
         if kind == "Boolean":
             text = str(bool(value)).lower()
         elif kind == "Enumeration":
@@ -66,8 +66,8 @@ def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> ET
     for name in sorted(set(names) & set(defined)):
         unit = defined[name]
         base = {symbol: str(exponent) for symbol, exponent in unit.base}
-        factor = {} if unit.factor == 1 else {"factor": repr_17(unit.factor)}
-        factor |= {"offset": repr_17(unit.offset)} if unit.offset else {}
+        factor = {} if unit.factor == 1 else {"factor": shortest(unit.factor)}
+        factor |= {"offset": shortest(unit.offset)} if unit.offset else {}
         entry = ET.SubElement(element, f"{{{SSC}}}Unit", name=name)
         ET.SubElement(entry, f"{{{SSC}}}BaseUnit", base | factor)
     return element
@@ -168,15 +168,15 @@ def write_ssp(
         ends_at = {"endElement": sink, "endConnector": entry}
         joint = ET.SubElement(joints, f"{{{SSD}}}Connection", begins | ends_at)
         if (sink, entry) in changes:
-            factor, offset = map(repr_17, changes[sink, entry])
+            factor, offset = map(shortest, changes[sink, entry])
             joint.set("suppressUnitConversion", "true")
             linear = {"factor": factor, "offset": offset}
             ET.SubElement(joint, f"{{{SSC}}}LinearTransformation", linear)
     if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
         root.append(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
-        span = {"startTime": repr_17(start_time)}
-        span |= {} if stop_time is None else {"stopTime": repr_17(stop_time)}
+        span = {"startTime": shortest(start_time)}
+        span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in components.items()}
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))

@@ -32,7 +32,7 @@ def write_csv(
     values: Vector,
     units: str,
 ) -> None:
-    """Write samples over time, SI, (n, len(columns)), with 17 digits; see `Trajectory.to_csv`."""
+    """Write samples over time, SI, (n, len(columns)), as `shortest` digits; see `Trajectory.to_csv`."""
     if not isinstance(target, str | os.PathLike):
         if not hasattr(target, "write"):
             raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
@@ -57,18 +57,18 @@ def _write_lines(
         writer.writerow(("s", *(column.shown_unit for column in columns)))
         shown = [column.shown(own) for column, own in zip(columns, values.T, strict=True)]
         values = np.transpose(shown).reshape(values.shape)
-    line = ",".join(["%.17g"] * (1 + len(columns))) + "\n"  # see `repr_17`
     written = 0
     with doing("writing", lambda: written / len(time)):
         for written in range(0, len(time), _BLOCK):
             rows = slice(written, written + _BLOCK)
             block = np.column_stack((time[rows], values[rows]))
-            stream.write(line * len(block) % tuple(block.ravel().tolist()))
+            lines = (",".join(map(shortest, row)) for row in block.tolist())
+            stream.write("".join(f"{line}\n" for line in lines))
 
 
-def repr_17(value: float) -> str:
-    """Write a number with 17 significant digits, so that reading returns the same bits."""
-    return f"{value:.17g}"
+def shortest(value: float) -> str:
+    """Write a number with the fewest digits from which reading returns the same bits."""
+    return repr(value).removesuffix(".0")
 
 
 def read_samples(

@@ -127,7 +127,7 @@ class Sensitivity:
         return rows
 
     def to_csv(self, target: str | os.PathLike[str] | TextIO) -> None:
-        """Write `time` and every derivative with 17 digits; see `Trajectory.to_csv`."""
+        """Write `time` and every derivative; see `Trajectory.to_csv`."""
         self.trajectory.to_csv(target)
 
     def __str__(self) -> str:
