@@ -289,3 +289,17 @@ assert ctypes.CDLL(str(compiler.cached_library("key", generate))).answer() == 42
     assert [process.wait(60) for process in many] == [0] * 20
     assert (tmp_path / "calls").read_text() == "x"
     assert len(made(folder)) == 1
+
+
+@posix
+def test_home_that_cannot_be_written_is_replaced_by_a_temporary_folder(tmp_path, monkeypatch):
+    (tmp_path / "home").write_text("no folder", encoding="utf-8")
+    monkeypatch.setenv("COSIM_CACHE", "")
+    for name in ("HOME", "XDG_CACHE_HOME", "TMPDIR"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.warns(RuntimeWarning, match="Not a directory; .* is used instead") as warned:
+        library = cached_library("key", lambda: CODE)
+    assert library.parent.parent == tmp_path
+    assert len(warned) == 1
+    assert cached_library("key", lambda: pytest.fail("made again")) == library

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from errno import EACCES
 from pathlib import Path
 
 from cosim.codegen.c_sources import cache_folder
@@ -41,20 +42,33 @@ class Contents:
 def private_folder() -> Path:
     """Return the cache folder, which only this user can access; it is created if missing.
 
+    If the platform's place for caches is read-only, a folder in that for temporary files is used.
+
     Raises:
         CacheError: The folder cannot be created, or another user could put files into it.
     """
     folder = cache_folder()
     try:
-        if not folder.is_dir():
-            for missing in reversed([p for p in (folder, *folder.parents) if not p.exists()]):
-                missing.mkdir(mode=0o700, exist_ok=True)
-        if os.name != "nt":
-            _reject_foreign(folder)
+        return _opened(folder)
     except OSError as error:
-        raise CacheError(
-            f"cannot store compiled code in {folder}: {error.strerror or error}; set COSIM_CACHE"
-        ) from error
+        problem = f"cannot store compiled code in {folder}: {error.strerror or error}"
+        if os.environ.get("COSIM_CACHE") or os.name == "nt":
+            raise CacheError(f"{problem}; set COSIM_CACHE") from error
+    spare = Path(tempfile.gettempdir(), f"cosim-cache-{os.geteuid()}")
+    warnings.warn(f"{problem}; {spare} is used instead", RuntimeWarning, stacklevel=2)
+    os.environ["COSIM_CACHE"] = str(spare)  # of this process and its children, too
+    return private_folder()
+
+
+def _opened(folder: Path) -> Path:
+    """Return a folder that this user alone can access and write to; it is created if missing."""
+    if not folder.is_dir():
+        for missing in reversed([p for p in (folder, *folder.parents) if not p.exists()]):
+            missing.mkdir(mode=0o700, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(EACCES, "it is read-only")
+    if os.name != "nt":
+        _reject_foreign(folder)
     return folder
 
 

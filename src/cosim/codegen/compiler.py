@@ -219,7 +219,7 @@ def cached_library(
     digest = hashlib.sha256("\0".join((key, *settings, *more)).encode()).hexdigest()[:32]
     folder = cache_folder()
     try:
-        private_folder()
+        folder = private_folder()
         if found := _stored(folder, digest):
             return found
         if loads_no_library(folder):
