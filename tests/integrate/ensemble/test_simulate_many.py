@@ -155,6 +155,14 @@ def test_a_limit_is_reported_or_ends_its_run():
     assert not simulate_many(growth(), {"rate": rates}, on_invalid="ignore").invalid
 
 
+def test_reason_begins_with_the_violation_that_comes_before_a_failure():
+    many = simulate_many(growth(), {"rate": [0.5, 3.0]})  # ends at 1/3 s
+    first, _, then = many.reason(1).partition("; ")
+    assert first.startswith("invalid from 0.267 s: not fulfilled: x is less than 5")
+    assert then.startswith("stopped after 0.33 s: step size too small")
+    assert many.to_xarray()["reason"].values.tolist() == ["", many.reason(1)]
+
+
 def test_an_impossible_value_refuses_its_row_alone(bicycle):
     many = simulate_many(
         bicycle, {"rF": [0.35, -1.0, np.nan], "IBxx": [9.2, 9.2, 9.2]}, output_times=[1.0]

@@ -205,8 +205,10 @@ class Ensemble:
             yield from zip(some.tolist(), found, strict=True)
 
     def reason(self, i: int) -> str:
-        """Return why a run is not complete or from when on it is invalid; "" if neither."""
-        return short_reason(self.reasons.get(i, self.invalid.get(i, "")))
+        """Return from when on a run is invalid, and why it is not complete; "" if neither."""
+        invalid, stopped = self.invalid.get(i, ""), self.reasons.get(i, "")
+        first = "" if invalid and invalid in stopped else short_reason(invalid)
+        return "; ".join(filter(None, (first, short_reason(stopped))))
 
     def summary(self) -> Table:
         """Return the smallest and largest value of each quantity, of the rows of all runs."""
