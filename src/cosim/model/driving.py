@@ -3,7 +3,8 @@
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from functools import partial
+from itertools import count, pairwise
 from numbers import Real
 from typing import Any
 
@@ -159,6 +160,23 @@ def _formula(
 
 def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:
     return lambda times: np.array([law(float(t)) for t in times], dtype=float)
+
+
+def with_tables(dae: Dae, series: InputSeries) -> Dae:
+    """Return the model in which the lines between samples replace inputs; jumps are events."""
+    laws = tuple((name, partial(_on_lines, series, i)) for i, name in enumerate(series.names))
+    return with_laws(dae, laws)
+
+
+def _on_lines(series: InputSeries, column: int, t: SX) -> SX:
+    """Return one column of samples as an expression of time."""
+    time, values = series.time.tolist(), series.values[:, column].tolist()
+    followed = SX(values[0])
+    for (begin, value), (end, after) in pairwise(zip(time, values, strict=True)):
+        if end > begin:
+            line = value + (after - value) / (end - begin) * (t - begin)
+            followed = ca.if_else(t >= begin, line, followed)
+    return ca.if_else(t >= time[-1], values[-1], followed)
 
 
 @cached_per_thread(16)

@@ -10,6 +10,7 @@ from cosim.cli.runs import runs_of, scene_or_none, single, size_of
 from cosim.cli.tables import note
 from cosim.errors import UsageError
 from cosim.model.catalogue import load
+from cosim.model.driving import with_tables
 from cosim.present.playback.animate import animate, animation_format, guessed_model
 from cosim.trajectory import Trajectory
 
@@ -61,7 +62,5 @@ def _live_model(args: argparse.Namespace, tables: Sequence[str]) -> Dae:
     if scene is None:
         raise UsageError("--live needs a single model or scene")
     request = scene.request.reduced() if args.outputs else replace(scene.request, outputs=None)
-    if request.inputs is not None:
-        names = ", ".join(request.inputs.names)
-        raise UsageError(f"--live: {names} follows a table; give a number or a formula instead")
-    return request.configured()
+    dae = request.configured()
+    return dae if request.inputs is None else with_tables(dae, request.inputs)

@@ -10,6 +10,8 @@ const violation = (line) => line.replace(/^invalid from \S+ s: /, "");
 
 const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
 
+const UNNAMED = /^\S+ of \(/; // a relation inside an equation
+
 /* A run of the compiled model; the numbers of `fmu/page/page.c`. */
 class Solver {
   static async of(live) {
@@ -83,7 +85,7 @@ class Solver {
     const values = Array.from({ length: references.length - first }, (_, k) => column(first + k));
     const rounded = (digits) => String(Number(Number(digits).toPrecision(6)));
     const plain = (line) => line.replace(/^\w+: /, "").replace(/\d+\.\d{5,}/g, rounded);
-    const events = messages.map((line) => EVENT.exec(line)).filter(Boolean);
+    const events = messages.map((line) => EVENT.exec(line)).filter((found) => found && !UNNAMED.test(found[2]));
     const lines = messages.filter((text) => !EVENT.test(text)).map(plain);
     const reasons = [...new Set(lines.map(violation))]; // what is violated again and again is one reason
     const stopped = reached < times.length;
