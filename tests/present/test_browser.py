@@ -167,3 +167,26 @@ def test_link_of_a_page_never_holds_infinity(tmp_path):
         return [location.hash, field.value === before];
     """
     assert asked(path, code, tmp_path) == ["", True]
+
+
+def test_time_of_a_page_never_lies_before_the_run(tmp_path):
+    run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = "player.go(0); player.playing = true; player.frame(player.last - 300); return player.t;"
+    assert asked(path, code, tmp_path) == 0
+
+
+def test_chart_shows_the_values_of_the_valid_part(tmp_path):
+    pytest.importorskip("ziglang")
+    path = animate(cosim.load("bicycle"), tmp_path / "x.html")
+    code = f"""
+        location.hash = "#speed=3&phi_dot=1"; // falls over; then the steer angle turns round
+        await new Promise((done) => setTimeout(done, 50));
+        {FRAMES}
+        const [{{ curves, invalid_from }}] = player.results, [{{ plot }}] = player.curves.charts;
+        const steer = player.data.columns.findIndex((column) => column.name === "delta");
+        return [invalid_from, plot.scales.y.max, Math.max(...curves.values[steer]) * 180 / Math.PI];
+    """
+    since, shown, largest = asked(path, code, tmp_path)
+    assert since == pytest.approx(4.48, abs=0.01)
+    assert shown < 150 < 400 < largest

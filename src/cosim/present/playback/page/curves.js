@@ -61,7 +61,7 @@ class Curves {
     })));
     const options = {
       width: this.place.clientWidth, height: 170, legend: { live: true }, cursor: { drag: { x: false, y: false } },
-      scales: { x: { time: false } },
+      scales: { x: { time: false }, y: { range: (plot) => this.reach(plot) } },
       series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${shown(v)} s`) }, ...lines],
       axes: [{ ...axis, size: 34 }, { ...axis, size: 62, label: unit === "1" ? "" : unit, labelSize: 18,
         values: (_, ticks) => ticks.map(shown) }],
@@ -90,6 +90,18 @@ class Curves {
       chart.plot.setData([Array.from(time), ...rows]);
       queueMicrotask(() => this.annotate(chart)); // uPlot finds its scales in one, too
     }
+  }
+
+  /* The range of a chart's values while the runs are valid; what comes after may leave it. */
+  reach({ data: [time, ...rows] }) {
+    const count = rows.length / this.results.length;
+    const own = rows.flatMap((row, i) => {
+      const since = this.results[Math.floor(i / count)].invalid_from;
+      const valid = since === null ? row : row.filter((_, k) => time[k] <= since);
+      return (valid.length > 1 ? valid : row).filter((v) => v !== null);
+    });
+    const [low, high] = [Math.min, Math.max].map((pick) => own.reduce((a, b) => pick(a, b), own[0] || 0));
+    return uPlot.rangeNum(low, high, 0.1, true);
   }
 
   /* Lines at events, and a shade where the run is invalid. */

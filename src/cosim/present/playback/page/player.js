@@ -159,7 +159,7 @@ class Player {
   }
 
   frame(now) {
-    const passed = Math.min(0.1, (now - this.last) / 1000);
+    const passed = Math.min(0.1, Math.max(0, now - this.last) / 1000); // a frame begins before `last`
     this.last = now;
     if (this.playing && this.end > this.begin) {
       this.t += passed * this.speed;

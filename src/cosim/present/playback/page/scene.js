@@ -258,7 +258,12 @@ class Scene {
     this.center = new THREE.Vector3(...data.camera.center);
     this.from = new THREE.Vector3(...data.camera.eye).sub(this.center);
     this.fitted = true;
-    const points = this.actors.flatMap(({ aside }) => data.framed.map((p) => new THREE.Vector3(...p).add(aside)));
+    // a body that is followed may come to lie in any direction of the ground, as runs of sliders do
+    const up = this.up.clone().normalize(), turns = data.live && data.follow >= 0 ? 8 : 1;
+    const turned = (p, k) => new THREE.Vector3(...p).sub(this.center)
+      .applyAxisAngle(up, (2 * Math.PI * k) / turns).add(this.center);
+    const points = this.actors.flatMap(({ aside }) => data.framed.flatMap((p) =>
+      Array.from({ length: turns }, (_, k) => turned(p, k).add(aside))));
     const reach = Math.max(...points.map((point) => point.distanceTo(this.center)));
     const slope = Math.tan((data.camera.field * Math.PI) / 360), top = Math.min(0.6, (2 * texts) / (height || 1));
     const room = [0.94, 0.94 - top / 2];
