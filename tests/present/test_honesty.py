@@ -32,6 +32,7 @@ def spans(axis):
 
 def words(figure):
     texts = [figure.get_suptitle(), figure.get_supxlabel()]
+    texts += [legend.get_title().get_text() for legend in figure.legends]
     for axis in figure.axes:
         texts += [
             axis.get_title(),
@@ -196,3 +197,14 @@ def test_notebook_shows_figures_without_magic(invalid):
 
 def test_shade_is_no_curve(invalid):
     assert not [c for c in invalid.plot().axes[0].collections if isinstance(c, PolyCollection)]
+
+
+def test_reason_of_invalidity_does_not_lie_under_the_legend(invalid):
+    other = cosim.simulate(spinning(1.0, limit=2.0), stop_time=1.0, compiled=False)
+    [figure] = draw_overlay([FigureSpec("Angle", (("angle",),))], [invalid, other])
+    figure.canvas.draw()
+    boxes = [legend.get_window_extent() for legend in figure.legends]
+    if figure.get_supxlabel():
+        boxes.append(figure._supxlabel.get_window_extent())
+    assert "invalid from 0.5 s" in words(figure)
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))

@@ -336,7 +336,10 @@ def _name_invalid(
         if text := invalid_text(start, reasons, _WIDTH):
             text = f"{label}, {text}" if len(runs) > 1 else text
             captions.append(fill(text, 95, max_lines=4, placeholder=" ..."))
-    if captions:
+    if captions and figure.legends:  # the layout would place both at the lower edge
+        figure.legends[0].set_title("\n".join(captions), prop={"size": 7})
+        figure.legends[0].get_title().set_color(INVALID)
+    elif captions:
         figure.supxlabel("\n".join(captions), fontsize=7, color=INVALID)
 
 
