@@ -99,7 +99,7 @@ def test_invalid_run_is_called_so_at_the_top():
         ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
     )
     head = page[: page.index("<h2 ")]
-    assert "From 0.5 s on this run is outside its model" in head
+    assert "invalid from 0.5 s: not fulfilled" in head
     assert "shaded: invalid from" in page
 
 
@@ -107,3 +107,11 @@ def test_report_of_something_else_is_refused(capsys):
     assert main(["report", "bicycle", "-o", "x.pdf"]) == 3
     assert main(["report", "x.fmu", "-o", "x.html"]) == 2
     assert "plot an FMU with: cosim plot" in capsys.readouterr().err
+
+
+def test_report_fits_a_phone_and_a_dark_screen_and_shows_the_equations(page):
+    text = without_playback(page)
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
+    assert "prefers-color-scheme: dark" in text
+    assert text.count("<math") == 2  # d phi / dt = omega, d omega / dt = alpha
+    assert '<div class="paper"><figure>' in text  # on the screen, the playback shows it

@@ -28,6 +28,7 @@ from cosim.model.reduction import size
 from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
+from cosim.present.formulas import formulas
 from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
@@ -71,6 +72,7 @@ def report(contents: ReportContents) -> str:
     body = body.replace("</h1>", f"</h1>\n<nav>{links}</nav>", 1)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{_CSS}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
 
@@ -79,8 +81,8 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    why = html.escape("; ".join(reasons))
-    return f'<p class="invalid">From {start:g} s on this run is outside its model: {why}</p>'
+    why = html.escape("; ".join(getattr(reason, "what", reason) for reason in reasons))
+    return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
 
 
 def _system(c: ReportContents) -> Iterable[str]:
@@ -101,6 +103,10 @@ def _system(c: ReportContents) -> Iterable[str]:
     if c.dae.full_name in casadi_models.CATALOG:
         paragraphs = (import_module(f"casadi_models.{c.dae.name}").__doc__ or "").split("\n\n")
         yield from (f"<p>{html.escape(text)}</p>" for text in paragraphs if text[:1].strip())
+    if lines := formulas(c.dae):
+        yield "<p>Equations (c<sub>i</sub>: what occurs more than once):</p><div class='formulas'>"
+        yield from lines
+        yield "</div>"
     if c.dae.limits:
         yield "<p>The model is valid while</p><ul>"
         yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
@@ -116,13 +122,14 @@ def _bodies(c: ReportContents) -> Iterable[str]:
         return
     yield "<h2>In motion</h2>"
     still = playback(c.shown, c.shown.drawing, times=[float(c.shown.time[0])])
-    yield _svg(draw_pose([still], [0], follow=""), "At the start; lines are the paths of points.")
+    start = _svg(draw_pose([still], [0], follow=""), "At the start; lines are the paths of points.")
     try:
         played = playback(c.shown, c.shown.drawing)
         page = html.escape(playback_page([played], [c.shown]), quote=True)
         yield f'<iframe class="screen" title="playback" srcdoc="{page}"></iframe>'
+        yield f'<div class="paper">{start}</div>'
     except MissingTool as error:
-        yield f'<p class="note">Without playback: {html.escape(str(error))}</p>'
+        yield f'{start}<p class="note">Without playback: {html.escape(str(error))}</p>'
 
 
 def _numbers_section(c: ReportContents) -> Iterable[str]:
