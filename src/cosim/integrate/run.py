@@ -76,7 +76,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
 
 
 def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
-    """Return the first state whose derivative is not finite at the start; empty if there is none."""
+    """Return the first state whose derivative is not finite at the start; empty if none."""
     rates = ca.Function("rates", dae.arguments, [dae.ode])
     values = start.values
     missing = ~np.isfinite(np.array(rates(t, start.x, start.z, values.u, values.p)).ravel())

@@ -32,7 +32,7 @@ def write_csv(
     values: Vector,
     units: str,
 ) -> None:
-    """Write samples over time, SI, (n, len(columns)), as `shortest` digits; see `Trajectory.to_csv`."""
+    """Write samples over time, SI, (n, len(columns)); see `Trajectory.to_csv`."""
     if not isinstance(target, str | os.PathLike):
         if not hasattr(target, "write"):
             raise UsageError.of_type("to_csv", target, "a file name, or an open text file")
