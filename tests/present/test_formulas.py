@@ -4,9 +4,9 @@ import re
 
 import casadi as ca
 import pytest
-from casadi_models.dae import Model
 
 import cosim
+from casadi_models.dae import Model
 from cosim.present.formulas import formulas, symbol
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
@@ -56,7 +56,7 @@ def test_part_that_occurs_twice_has_a_name():
         ("Omega", "Ω"),
         ("f1_G_F", "_f1_G_F"),
         ("k2", "_k2"),
-        ("x", "x"),
+        ("lambda", "λ"),
         ("mA", "mA"),
     ],
 )

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from casadi_models.units import parse_unit
@@ -337,7 +338,7 @@ def _name_invalid(
             text = f"{label}, {text}" if len(runs) > 1 else text
             captions.append(fill(text, 95, max_lines=4, placeholder=" ..."))
     if captions and figure.legends:  # the layout would place both at the lower edge
-        figure.legends[0].set_title("\n".join(captions), prop={"size": 7})
+        figure.legends[0].set_title("\n".join(captions), prop=FontProperties(size=7))
         figure.legends[0].get_title().set_color(INVALID)
     elif captions:
         figure.supxlabel("\n".join(captions), fontsize=7, color=INVALID)

@@ -2,6 +2,7 @@
 
 import html
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterable
 
@@ -15,11 +16,7 @@ _OPERATIONS = {getattr(ca, n): n[3:].lower() for n in dir(ca) if n.startswith("O
 _TIMES = '<mo>\u2062</mo><mspace width=".17em"/>'
 _INFIX = {"add": ("<mo>+</mo>", 1), "sub": ("<mo>-</mo>", 1), "mul": (_TIMES, 2)}
 _INFIX |= {"lt": ("<mo>&lt;</mo>", 0), "le": ("<mo>≤</mo>", 0), "eq": ("<mo>=</mo>", 0)}
-_INFIX |= {"ne": ("<mo>≠</mo>", 0), "and": ("<mo>∧</mo>", 0), "or": ("<mo>∨</mo>", 0)}
-_GREEK = {name: chr(0x3B1 + i) for i, name in enumerate(
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi omicron pi rho final"
-    " sigma tau upsilon phi chi psi omega".split())}  # fmt: skip
-_GREEK |= {name.capitalize(): letter.upper() for name, letter in _GREEK.items()}
+_INFIX |= {"ne": ("<mo>≠</mo>", 0), "and": ("<mo>∧</mo>", 0), "or": ("<mo>\u2228</mo>", 0)}
 _ATOM = 9  # precedence of what needs no parentheses
 
 
@@ -47,9 +44,18 @@ def symbol(name: str) -> str:
     plain, dots = re.subn("(_dot)+$", "", name)
     parts = re.fullmatch(r"([A-Za-z]+?)_?(\d.*|_.*)?", plain)
     head, index = (parts[1], (parts[2] or "").strip("_")) if parts else (plain, "")
-    text = f"<mi>{html.escape(_GREEK.get(head, head))}</mi>"
+    text = f"<mi>{html.escape(_letter(head))}</mi>"
     text = f"<mover>{text}<mo>˙</mo></mover>" if dots else text
     return f"<msub>{text}<mi>{html.escape(index)}</mi></msub>" if index else text
+
+
+def _letter(name: str) -> str:
+    """Return the Greek letter of a name, or the name."""
+    size, plain = "CAPITAL" if name[:1].isupper() else "SMALL", name.upper()
+    try:
+        return unicodedata.lookup(f"GREEK {size} LETTER {plain.replace('LAMBDA', 'LAMDA')}")
+    except KeyError:
+        return name
 
 
 class _Writer:
