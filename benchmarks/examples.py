@@ -1,7 +1,7 @@
 """Errors of the examples and of IDAS with and without algebraic unknowns in its error control.
 
 python benchmarks/examples.py           prints the tables
-python benchmarks/examples.py --write   puts them into docs: examples.md, benchmarks_solvers.md
+python benchmarks/examples.py --write   puts them into results: examples.md, solvers.md
 """
 
 import re
@@ -160,9 +160,9 @@ def algebraic_errors() -> str:
 
 
 TABLES = {
-    "errors of examples": ("docs/examples.md", errors_of_examples),
-    "nominal values": ("docs/benchmarks_solvers.md", nominal_values),
-    "algebraic errors": ("docs/benchmarks_solvers.md", algebraic_errors),
+    "errors of examples": ("benchmarks/results/examples.md", errors_of_examples),
+    "nominal values": ("benchmarks/results/solvers.md", nominal_values),
+    "algebraic errors": ("benchmarks/results/solvers.md", algebraic_errors),
 }
 
 
