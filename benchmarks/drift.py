@@ -1,7 +1,7 @@
 """Drift control of the multiplier formulations: remaining drift, error and cost.
 
-Prints the tables of benchmarks/results/drift.md; with `--figure FILE` it only draws the drift of the
-long runs.
+Prints the tables of benchmarks/results/drift.md; with `--figure FILE` it only draws the drift
+of the long runs.
 Times are medians of interleaved repeats of the solver alone, given as ratios to the run without
 control. Runs of more than SLOW seconds are not repeated.
 """
