@@ -49,3 +49,4 @@ def test_notebook_runs_from_top_to_bottom(path, tmp_path):
         command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment
     )
     assert run.returncode == 0, run.stderr[-3000:]
+    assert {file.name for file in tmp_path.iterdir()} <= {"cells.py", "ipython"}
