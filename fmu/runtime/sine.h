@@ -1,4 +1,4 @@
-/* Sine and cosine that have the same bits on every computer, which those of C libraries have not.
+/* Sine and cosine that give identical bits on every computer, which those of C libraries do not.
 
    An angle is reduced by a multiple of pi/2 whose parts are exact (Cody and Waite, Software Manual
    for the Elementary Functions, 1980). Taylor's series take the rest, at most pi/4, and its tail
