@@ -11,6 +11,7 @@ import shlex
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -347,3 +348,11 @@ def test_values_of_a_system_are_not_ignored_by_export(tmp_path, capsys):
     assert main(words) in (2, 3)
     assert not (tmp_path / "s.ssp").exists()
     assert capsys.readouterr().err
+
+
+def test_time_beyond_the_span_is_rejected_before_a_co_simulation(capsys, monkeypatch):
+    monkeypatch.setattr("cosim.cli.verbs.simulate.run_or_partial", lambda *_: pytest.fail("ran"))
+    call = ["simulate", "examples/coupled/ride.toml", "--method", "iterated", "--at", "1,99"]
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert main(call) == 2
+    assert "ride: time 99.0 is not within the run, 0 ... 2 s" in capsys.readouterr().err

@@ -163,7 +163,8 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
             requested[~inside].flat[0] if requested.size and not inside.all() else requested.shape
         )
         raise ParameterError(
-            f"{owner}: time {first} is not within the run, {begin:g} ... {end:g} s"
+            f"{owner}: time {first} is not within the run, {begin:g} ... {end:g} s; "
+            "give times within it, or run longer"
         )
     if (np.diff(np.atleast_1d(requested)) < 0).any():
         raise ParameterError(f"{owner}: times decrease; give them in increasing order")
