@@ -351,7 +351,9 @@ def test_values_of_a_system_are_not_ignored_by_export(tmp_path, capsys):
 
 
 def test_time_beyond_the_span_is_rejected_before_a_co_simulation(capsys, monkeypatch):
-    monkeypatch.setattr("cosim.cli.verbs.simulate.run_or_partial", lambda *_: pytest.fail("ran"))
+    monkeypatch.setattr(
+        "cosim.coupling.system.System.simulate", lambda *_, **__: pytest.fail("ran")
+    )
     call = ["simulate", "examples/coupled/ride.toml", "--method", "iterated", "--at", "1,99"]
     monkeypatch.chdir(Path(__file__).parents[2])
     assert main(call) == 2

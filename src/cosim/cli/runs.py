@@ -16,6 +16,7 @@ from cosim.cli.arguments import (
     TIMES,
     inputs_in,
     names_in,
+    numbers_in,
     options_in,
     scene_from,
     start_texts,
@@ -34,6 +35,7 @@ from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
+from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
 from cosim.trajectory import Trajectory
 
@@ -137,6 +139,9 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
     options["start_values"] = dict(start_texts(args))
     options["outputs"] = None if args.outputs is None else names_in(args.outputs)
     system = read_system(args.model)
+    if getattr(args, "at", None) is not None:  # before a run of which the times are not a part
+        span = system.times(*(options.get(name) for name in TIMES))[:2]
+        times_within(system.name, np.array(span), sorted(numbers_in("--at", args.at)))
     with system.naming_files():
         for file in system.fmus:
             require_trust(file, trusted=args.trust, name=with_places(file, system.places))

@@ -6,15 +6,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cosim.cli.arguments import numbers_in, runs_natively
 from cosim.cli.runs import run_or_partial, scene_or_none
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.series.csv_file import UNIT_KINDS
-from cosim.series.samples import times_within
 from cosim.trajectory import Trajectory
 
 
@@ -22,15 +19,9 @@ def run(args: argparse.Namespace) -> int:
     """Run a model, a scene or an FMU."""
     ending = _checked_ending(args)
     scene = scene_or_none(args)
-    resampled = args.at is not None and (scene is None or not runs_natively(args))
-    at = sorted(numbers_in("--at", args.at)) if resampled else []
-    if at and scene is not None:  # before a run of which the times are not a part
-        request = scene.request
-        stop = request.times.stop or request.dae.experiment.stop_time
-        times_within(request.dae.full_name, np.array([request.times.start, stop]), at)
     run, code = run_or_partial(args, scene)
-    if resampled:
-        run = run.at(at)
+    if args.at is not None and (scene is None or not runs_natively(args)):
+        run = run.at(sorted(numbers_in("--at", args.at)))
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
