@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from helpers.scenes import spinning
 
 import cosim
 from cosim.cli.main import main
@@ -265,3 +266,11 @@ def test_crosscheck_shows_backends_on_a_terminal_and_nothing_in_a_pipe(tmp_path)
     assert pipe.returncode == 0
     assert "\r" not in pipe.stderr
     assert "running" not in pipe.stderr
+
+
+def test_movie_shows_how_many_pictures_are_drawn(tmp_path, monkeypatch):
+    terminal = shown_at_once(monkeypatch)
+    run = cosim.simulate(spinning(1.0), stop_time=0.3, compiled=False)
+    with shown_on_terminal(False):
+        cosim.animate(run, tmp_path / "x.gif", dpi=20)
+    assert re.search(r"drawing \d+ pictures: +\d+ %", terminal.getvalue())

@@ -49,3 +49,10 @@ def test_a_compiler_that_comes_or_goes_is_noticed(monkeypatch):
     monkeypatch.setattr(preparation, "has_compiler", lambda: True)
     monkeypatch.setenv("PATH", "/elsewhere")
     assert prepare(asked).problem.compiled
+
+
+def test_run_without_a_compiler_says_that_it_is_interpreted(monkeypatch):
+    monkeypatch.setattr(preparation, "has_compiler", lambda: False)
+    run = cosim.simulate("crank_shaft", stop_time=0.1)
+    assert not run.stats.compiled
+    assert run.stats["note"].startswith("interpreted: there is no C compiler; bring one: pip")

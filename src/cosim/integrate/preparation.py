@@ -172,7 +172,9 @@ def compilation_of(dae: Dae, solver: Solver, requested: bool | None = None) -> C
     if requested is not None:
         return Compilation(requested)
     if not has_compiler():
-        return Compilation(False)
+        return Compilation(
+            False, 'interpreted: there is no C compiler; bring one: pip install "cosim-rigid[zig]"'
+        )
     if solver.compiled_only:
         return Compilation(True)
     if reason := _without_code(dae):

@@ -32,6 +32,7 @@ from cosim.fmi.export.options import FmuOptions
 from cosim.fmi.export.package import source_files
 from cosim.fmi.platforms import WEB_PAGE
 from cosim.host.optional_packages import optional_module
+from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
 from cosim.model.request import choice
@@ -218,9 +219,13 @@ def movie(
         writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
     with temporary_folder() as folder, matplotlib.rc_context(settings):
         place = folder / f"movie.{kind}"
-        with writer.saving(figure, str(place), dpi):
-            for frame in range(len(runs[0].time)):
-                stage.draw(axis, [frame])
+        drawn, count = 0, len(runs[0].time)
+        with (
+            writer.saving(figure, str(place), dpi),
+            doing(f"drawing {count} pictures", lambda: drawn / count),
+        ):
+            for drawn in range(count):
+                stage.draw(axis, [drawn])
                 writer.grab_frame()
         return place.read_bytes()
 
