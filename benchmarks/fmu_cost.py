@@ -191,7 +191,7 @@ def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
     sources = folder / "sources"
     (sources / "driver.c").write_text(DRIVER)
     library = folder / "driver.so"
-    files = [str(path) for path in sorted(sources.glob("*.c"))]
+    files = [str(sources / "fmu.c"), str(sources / "driver.c")]
     compiler = find_compiler()
     options = [*FLAGS, *native_target().options(library.name, compiler), "-std=gnu11"]
     folders = [f"-I{fmi_headers()}", f"-I{sources}"]

@@ -45,29 +45,23 @@
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
-#include "visibility.h"
-
 typedef int Equation(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
 /* Counts of arguments and results that the runtime passes at most. */
 enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
 
-INSIDE_BEGIN
+static Equation model_start, model_start_directional;
+static Equation model_algebraic, model_ode, model_outputs;
+static Equation model_directional, model_adjoint, model_jacobian, model_step;
+static Equation model_rank, model_rank_rate, model_project;
+static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
 
-Equation model_start, model_start_directional;
-Equation model_algebraic, model_ode, model_outputs;
-Equation model_directional, model_adjoint, model_jacobian, model_step;
-Equation model_rank, model_rank_rate, model_project;
-Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
-
-WorkSize model_start_work, model_start_directional_work;
-WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
-WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
-WorkSize model_rank_work, model_rank_rate_work, model_project_work;
-WorkSize model_relations_work, model_rounding_work, model_timed_work;
-WorkSize model_conditions_work, model_bounds_work;
-
-INSIDE_END
+static WorkSize model_start_work, model_start_directional_work;
+static WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
+static WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
+static WorkSize model_rank_work, model_rank_rate_work, model_project_work;
+static WorkSize model_relations_work, model_rounding_work, model_timed_work;
+static WorkSize model_conditions_work, model_bounds_work;
 
 #endif

@@ -25,7 +25,7 @@ static void log_happening(Instance *self, const Happening *found) {
     for (int k = 0; k < found->count; k++)
         log_text(self, OK, "at %.17g s: %s", t, rule_names[found->happened[k].rule]);
     for (int i = 0; found->count == 0 && i < MODES; i++)
-        if (relations[i].in_laws && self->state.values[FIRST_MODE + i] != found->modes[i])
+        if (relation_table[i].in_laws && self->state.values[FIRST_MODE + i] != found->modes[i])
             log_text(self, OK, "at %.17g s: %s", t, relation_names[i]);
     if (found->ending.reason == STOPPED && found->ending.part >= 0)
         log_text(self, WARNING, "the run ends at %.12g s: %s", t,
@@ -124,7 +124,7 @@ void rebase_samples(Instance *self, const double behind[]) {
     double now[ROOM(EVENTS)];
     samples_at(&laws, &self->state.switching, &at, now);
     for (int i = 0; i < EVENTS; i++)
-        if (rules[i].sampled) self->state.switching.conditions[i] = now[i] - behind[i];
+        if (rule_table[i].sampled) self->state.switching.conditions[i] = now[i] - behind[i];
 }
 
 bool event_waits(const Instance *self) {
@@ -136,7 +136,7 @@ bool leave_to_importer(Instance *self, int crossing) {
     const double t = self->state.values[TIME];
     if (!self->host.event_mode || !self->host.may_return_early) return false;
     bool due = crossing >= 0; /* ends of parts of a pulse are no events to others */
-    for (int i = 0; i < MODES; i++) due |= relations[i].of_time && is_due(s, i, t);
+    for (int i = 0; i < MODES; i++) due |= relation_table[i].of_time && is_due(s, i, t);
     if (due) s->waits = 2 + crossing;
     return due;
 }
@@ -160,7 +160,7 @@ static bool any_due(Instance *self) {
     for (int i = 0; i < MODES; i++) {
         const double value = seen.arguments[i];
         if (inside[i] < 0) return true;
-        if (value == (relations[i].floor ? round(value) : 0) && rates[i] == 0 &&
+        if (value == (relation_table[i].floor ? round(value) : 0) && rates[i] == 0 &&
             s->state[i] != SLIDES && !is_held(&laws, s, &seen, i))
             return true;
     }

@@ -10,43 +10,39 @@ typedef struct {
 } Outcome;
 
 #if HAS_EVENTS
-INSIDE_BEGIN
-
 /* The conditions of rules at the end of initialization. */
-Status start_events(Instance *self);
+static Status start_events(Instance *self);
 
 /* All that happens at the present time; `crossing` is the relation whose argument is 0, or -1. */
-Status handle_instant(Instance *self, int crossing, Outcome *outcome);
+static Status handle_instant(Instance *self, int crossing, Outcome *outcome);
 
 /* The next time event; NEVER_AGAIN where there is none. */
-double next_event(const Instance *self);
+static double next_event(const Instance *self);
 
 /* The end of a step of co-simulation, or the time event that only the rounding of an importer that
    adds its steps is beyond it. */
-double end_with_event(const Instance *self, double end);
+static double end_with_event(const Instance *self, double end);
 
-bool run_stopped(const Instance *self);
+static bool run_stopped(const Instance *self);
 
 /* Keep what was before an event at a communication point, as other inputs may be set there. */
-void remember_instant(Instance *self);
+static void remember_instant(Instance *self);
 
 /* What inputs and parameters that have just been set make happen before a step of co-simulation, or
    an event that the importer has not handled; false where it fails or ends the run. */
-bool start_over(Instance *self);
+static bool start_over(Instance *self);
 
 /* Samples that have not happened yet: before a parameter is set, and after it. */
-void note_samples(Instance *self, double behind[]);
-void rebase_samples(Instance *self, const double behind[]);
+static void note_samples(Instance *self, double behind[]);
+static void rebase_samples(Instance *self, const double behind[]);
 
 /* Whether a step of co-simulation ends at an event, which the importer handles in event mode; then
    it waits. `crossing` is the relation whose argument is 0, or -1. */
-bool leave_to_importer(Instance *self, int crossing);
+static bool leave_to_importer(Instance *self, int crossing);
 
 /* The event that waits, as for `handle_instant`; it waits no longer. */
-int take_waiting(Instance *self);
-bool event_waits(const Instance *self);
-
-INSIDE_END
+static int take_waiting(Instance *self);
+static bool event_waits(const Instance *self);
 #else
 static inline Status start_events(Instance *self) {
     (void)self;

@@ -11,7 +11,9 @@
    libraries, so that the default is none. */
 #ifdef FMI2_FUNCTION_PREFIX
 #undef fmi2FullName
-#define fmi2FullName(name) INSIDE_NAME(FMI2_FUNCTION_PREFIX, name)
+#define PASTED(prefix, name) prefix##name
+#define NAMED(prefix, name) PASTED(prefix, name)
+#define fmi2FullName(name) NAMED(FMI2_FUNCTION_PREFIX, name)
 #endif
 
 _Static_assert((int)OK == (int)fmi2OK && (int)WARNING == (int)fmi2Warning &&

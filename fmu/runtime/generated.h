@@ -1,16 +1,15 @@
-/* What comes before the code that CasADi generates. Others compile without our options, so the code
-   itself hides its symbols. */
+/* What comes before the code that CasADi generates, which is the end of the one unit fmu.c. */
 #ifndef GENERATED_H
 #define GENERATED_H
 
 #include "sine.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-#define CASADI_SYMBOL_EXPORT
+#define CASADI_SYMBOL_EXPORT static
 #if defined __GNUC__
 #define SMALL __attribute__((cold)) /* compiled for size */
+#if !defined _WIN32
+#pragma GCC visibility push(hidden) /* of CasADi's helpers, whatever the options of compilers */
+#endif
 #else
 #define SMALL
 #endif

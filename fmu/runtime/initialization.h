@@ -3,13 +3,8 @@
 #define INITIALIZATION_H
 
 #include "state.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-Status set_up(Instance *self, const double *tolerance, double start, const double *stop);
-Status finish_initialization(Instance *self);
-
-INSIDE_END
+static Status set_up(Instance *self, const double *tolerance, double start, const double *stop);
+static Status finish_initialization(Instance *self);
 
 #endif

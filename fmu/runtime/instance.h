@@ -3,16 +3,11 @@
 #define INSTANCE_H
 
 #include "state.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-Instance *create(const Host *host, const char *function, const char *name, const char *token,
-                 unsigned interface, bool logging);
-void destroy(Instance *self);
-void reset(Instance *self);
-bool allowed(Instance *self, unsigned modes, const char *function);
-
-INSIDE_END
+static Instance *create(const Host *host, const char *function, const char *name, const char *token,
+                        unsigned interface, bool logging);
+static void destroy(Instance *self);
+static void reset(Instance *self);
+static bool allowed(Instance *self, unsigned modes, const char *function);
 
 #endif

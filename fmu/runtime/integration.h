@@ -3,7 +3,6 @@
 #define INTEGRATION_H
 
 #include "state.h"
-#include "visibility.h"
 
 /* What the solver knows of the motion within its step, and fresh steps from where that began: these
    return false where they fail. */
@@ -13,18 +12,14 @@ typedef struct {
     bool (*step_to)(void *solver, double t, double x[], double z[], double u[]);
 } Motion;
 
-INSIDE_BEGIN
-
 /* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. True
    where it went as far as was wanted: `Host.step_finished` may bring the end forward. */
-bool integrate_to(Instance *self, double end);
+static bool integrate_to(Instance *self, double end);
 
 /* Let the solver start afresh: an event has changed what it was going on from. */
-void restart_solver(Instance *self);
+static void restart_solver(Instance *self);
 
 /* A step that is short enough for the motion at the present state. */
-double typical_step(Instance *self);
-
-INSIDE_END
+static double typical_step(Instance *self);
 
 #endif

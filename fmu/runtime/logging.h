@@ -3,9 +3,6 @@
 #define LOGGING_H
 
 #include "state.h"
-#include "visibility.h"
-
-INSIDE_BEGIN
 
 #if defined __GNUC__
 #define PRINTF_LIKE __attribute__((format(printf, 3, 4)))
@@ -13,10 +10,8 @@ INSIDE_BEGIN
 #define PRINTF_LIKE
 #endif
 
-PRINTF_LIKE void log_text(const Instance *self, Status status, const char *format, ...);
-PRINTF_LIKE Status refuse(Instance *self, Status status, const char *format, ...);
-Status choose_categories(Instance *self, bool on, size_t count, const char *const names[]);
-
-INSIDE_END
+static PRINTF_LIKE void log_text(const Instance *self, Status status, const char *format, ...);
+static PRINTF_LIKE Status refuse(Instance *self, Status status, const char *format, ...);
+static Status choose_categories(Instance *self, bool on, size_t count, const char *const names[]);
 
 #endif

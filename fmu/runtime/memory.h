@@ -5,14 +5,8 @@
 
 #include <stddef.h>
 
-#include "visibility.h"
-
-INSIDE_BEGIN
-
 /* Zeroed memory, or NULL. */
-void *take_memory(size_t size);
-void give_memory(void *memory);
-
-INSIDE_END
+static void *take_memory(size_t size);
+static void give_memory(void *memory);
 
 #endif

@@ -4,18 +4,16 @@
 
 #include "integration.h"
 #include "state.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-bool pass_midway(Instance *self, double *end);
+static bool pass_midway(Instance *self, double *end);
 
 #if N_LIMITS > 0
 /* When a motion first leaves each limit in a span; DBL_MAX: never, or it was outside before. */
-void find_leaving(Instance *self, const Motion *motion, double begin, double end, double leaves[]);
+static void find_leaving(Instance *self, const Motion *motion, double begin, double end,
+                         double leaves[]);
 
 /* Warn of those that have been left up to a time. */
-void note_leaving(Instance *self, double time, double leaves[]);
+static void note_leaving(Instance *self, double time, double leaves[]);
 #else
 static inline void find_leaving(Instance *self, const Motion *motion, double begin, double end,
                                 double leaves[]) {
@@ -25,7 +23,5 @@ static inline void note_leaving(Instance *self, double time, double leaves[]) {
     (void)self, (void)time, (void)leaves;
 }
 #endif
-
-INSIDE_END
 
 #endif

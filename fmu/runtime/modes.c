@@ -94,12 +94,12 @@ static bool bounds_of_time(void *owner, const Point *at, double t, double length
 Laws laws_of(Instance *self) {
     return (Laws){
         .owner = self,
-        .relations = relations,
-        .rules = rules,
-        .assigned = assigned,
-        .adds = adds,
-        .barriers = barriers,
-        .bounded = bounded,
+        .relations = relation_table,
+        .rules = rule_table,
+        .assigned = assigned_states,
+        .adds = adding,
+        .barriers = barring,
+        .bounded = bounded_ones,
         .blind = self->state.interface == INTERFACE_ME,
         .see = see,
         .decide = look_at_rules,
@@ -207,7 +207,7 @@ Status get_insides(Instance *self, double inside[]) {
     double all[ROOM(MODES)], rates[ROOM(MODES)];
     measure(&laws, &self->state.switching, self->state.values + FIRST_MODE, &seen, all, rates);
     for (int i = 0, k = 0; i < MODES; i++)
-        if (!relations[i].of_time) inside[k++] = all[i];
+        if (!relation_table[i].of_time) inside[k++] = all[i];
     return OK;
 }
 

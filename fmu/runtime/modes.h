@@ -5,43 +5,40 @@
 
 #include "integration.h"
 #include "state.h"
-#include "visibility.h"
 
 #if HAS_EVENTS
 #include "search.h"
 
 enum { SPAN = 50 }; /* of a run without an end, in largest steps */
 
-INSIDE_BEGIN
-
-Laws laws_of(Instance *self);
-Point present(Instance *self);
+static Laws laws_of(Instance *self);
+static Point present(Instance *self);
 
 /* Refuse what the kernel cannot go on from; `switched` names what did so if no rule has. */
-Status refuse_ending(Instance *self, Status severity, const Ending *why, const char *switched);
+static Status refuse_ending(Instance *self, Status severity, const Ending *why,
+                            const char *switched);
 
 /* The modes of the start values. */
-Status start_modes(Instance *self);
+static Status start_modes(Instance *self);
 
 /* Set the modes of relations that slide, at the present values or at a point; false where there are
    none that keep their arguments. */
-Status follow_present(Instance *self);
-bool follow_at(Instance *self, const Point *at);
-bool is_sliding_now(const Instance *self);
+static Status follow_present(Instance *self);
+static bool follow_at(Instance *self, const Point *at);
+static bool is_sliding_now(const Instance *self);
 
 /* The relations at the present values; how far those not of time alone are within their modes. */
-Status look_now(Instance *self, Seen *seen);
-Status get_insides(Instance *self, double inside[]);
+static Status look_now(Instance *self, Seen *seen);
+static Status get_insides(Instance *self, double inside[]);
 
 /* Refuse, where a relation slides, inputs that move its argument, and let go of boundaries that an
    event has displaced. */
-Status complete_step(Instance *self, Status severity);
+static Status complete_step(Instance *self, Status severity);
 
 /* The first crossing of a relation within a step, where fresh steps cross; relation -1: none. False
    where the last fresh step failed. */
-bool find_event(Instance *self, const Motion *motion, double begin, double end, Crossing *crossing);
-
-INSIDE_END
+static bool find_event(Instance *self, const Motion *motion, double begin, double end,
+                       Crossing *crossing);
 #else
 static inline Status start_modes(Instance *self) {
     (void)self;

@@ -3,13 +3,8 @@
 #define OUTPUT_RATES_H
 
 #include "state.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-Status get_rates(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
-                 double values[]);
-
-INSIDE_END
+static Status get_rates(Instance *self, const uint32_t references[], size_t count,
+                        const int32_t orders[], double values[]);
 
 #endif

@@ -4,26 +4,21 @@
 #define RANK_H
 
 #include "state.h"
-#include "visibility.h"
 
 #if HAS_RANK
-INSIDE_BEGIN
-
 /* Distance of the constraints from a singular configuration where the arguments of the equations
    are already passed, 1 at best; 0 where it has no number. Its rate is wanted where `rate` is not
    NULL. */
-double rank_at(Instance *self, double *rate);
+static double rank_at(Instance *self, double *rate);
 
 /* Move the states of a time to where the constraints hold; false where that cannot be done. */
-bool restore(Instance *self, double t, const double u[], double x[]);
+static bool restore(Instance *self, double t, const double u[], double x[]);
 
 /* Begin to watch; note an evaluation; look back over a step that is completed, and return `status`
    where there was a singular configuration on the way. Derivatives must be fresh. */
-void begin_watch(Instance *self);
-void note_rank(Instance *self);
-Status watch_rank(Instance *self, Status status);
-
-INSIDE_END
+static void begin_watch(Instance *self);
+static void note_rank(Instance *self);
+static Status watch_rank(Instance *self, Status status);
 #else
 static inline void begin_watch(Instance *self) {
     (void)self;

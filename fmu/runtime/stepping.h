@@ -4,15 +4,10 @@
 #define STEPPING_H
 
 #include "state.h"
-#include "visibility.h"
 
-INSIDE_BEGIN
-
-Status do_step(Instance *self, double from, double length);
-void forget_motion(Instance *self);
-Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
-                  const double values[]);
-
-INSIDE_END
+static Status do_step(Instance *self, double from, double length);
+static void forget_motion(Instance *self);
+static Status set_motion(Instance *self, const uint32_t references[], size_t count,
+                         const int32_t orders[], const double values[]);
 
 #endif

@@ -6,7 +6,6 @@
 #include <stdbool.h>
 
 #include "model.h"
-#include "visibility.h"
 
 /* Length of an array that a model may not need: C knows no array of length 0. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
@@ -60,22 +59,11 @@ enum {
    relations. */
 enum { N_INDICATORS = N_LIMITS + N_WATCHED };
 
-INSIDE_BEGIN
-
-extern const VariableInfo variables[];
-extern const char *const limits[];     /* what is true while the model holds; N_LIMITS of them */
-extern const char *const violations[]; /* what is wrong where it does not */
-#if HAS_EVENTS
-extern const Relation relations[];
-extern const Rule rules[];
-extern const bool adds[];
-extern const int assigned[], barriers[], bounded[];
-extern const char *const relation_names[], *const rule_names[];
-extern const char *const rule_messages[]; /* what ends the run; NULL where it goes on */
-extern const double pulses[];             /* times at which steps end, so that none spans a pulse */
-extern const int pulse_parameters[];      /* on which these times depend; -1 ends the list */
-#endif
-
-INSIDE_END
+/* variables, limits (what is true while the model holds) and violations (what is wrong where it
+   does not), and with HAS_EVENTS the tables of solvers/hybrid/laws.h, the names of relations and
+   rules, rule_messages (what ends the run; NULL where it goes on), pulses (times at which steps
+   end, so that none spans a pulse) and pulse_parameters, on which these times depend; -1 ends the
+   list */
+#include "tables.h"
 
 #endif

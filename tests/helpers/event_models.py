@@ -191,7 +191,7 @@ def left() -> Dae:
 
 
 def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
-    """Write model.h and model.c of an exported model under the toy's GUID, and its solver's files.
+    """Write the generated files of an exported model under the toy's GUID, and its solver's files.
 
     Args:
         folder: An existing one.
@@ -207,9 +207,8 @@ def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) ->
     limited = [line for line in header if "MOST_TRIALS" not in line and "MODEL_GUID" not in line]
     limited[-1:-1] = [f"#define MOST_TRIALS {most_trials}", f'#define MODEL_GUID "{GUID}"']
     code["model.h"] = "\n".join(limited) + "\n"
-    code["model.c"] += code.pop("equations.c")
     for name, text in code.items():
         (folder / name).write_text(text)
 
 
-_GENERATED = ("model.h", "model.c", "equations.c", "dop853_coefficients.h")
+_GENERATED = ("model.h", "tables.h", "equations.c", "dop853_coefficients.h")

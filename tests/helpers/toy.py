@@ -109,7 +109,7 @@ def write(
     rank: bool = False,
     most_steps: int = 1000,
 ) -> None:
-    """Write model.h and model.c for the solver of `integration_SOLVER.c`, and what that needs.
+    """Write model.h, tables.h and equations.c for the solver of `integration_SOLVER.c`, and what that needs.
 
     With `rank`, constraints are watched that lose rank where x_1 = 0. With `valid`, the model tells
     whether it holds, and its margins are its last outputs.
@@ -137,11 +137,11 @@ def write(
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")
     (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
-    generator = ca.CodeGenerator("model.c", {"with_export": False})
+    generator = ca.CodeGenerator("equations.c")
     for function in (*_contract(model, most_steps), *_rank_functions(model)[: 3 * rank]):
         generator.add(function)
     generator.generate(f"{folder}/")
-    code = (folder / "model.c").read_text()
+    code = (folder / "equations.c").read_text()
     # the integrator's tolerances are constants: let its third parameter take their place
     for name, factor in (("reltol", "1"), ("abstol", "0.1")):
         code = re.sub(rf"p\.{name} = [^;]*;", f"p.{name} = {factor}*arg[2][2];", code)
@@ -151,11 +151,11 @@ def write(
         + f", {str(r.tunable).lower()}}}"
         for r in table
     )
-    include = '#include <math.h>\n#include "variables.h"\n'
-    (folder / "model.c").write_text(
-        f"{include}{code}\nconst VariableInfo variables[] = {{\n{rows}\n}};\n"
-        'const char *const limits[] = {"q < 2 m", 0};\n'
-        'const char *const violations[] = {"not fulfilled: q < 2 m", 0};\n'
+    (folder / "equations.c").write_text(f'#include "generated.h"\n{code}')
+    (folder / "tables.h").write_text(
+        f"#include <math.h>\nstatic const VariableInfo variables[] = {{\n{rows}\n}};\n"
+        'static const char *const limits[] = {"q < 2 m", 0};\n'
+        'static const char *const violations[] = {"not fulfilled: q < 2 m", 0};\n'
     )
 
 

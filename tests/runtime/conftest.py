@@ -42,7 +42,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
 
 @pytest.fixture
 def model(solver: str, built: Callable[..., Any]) -> Path:
-    """Folder with the toy's model.h and model.c."""
+    """Folder with the toy's generated files."""
     made: Path = built(solver)
     return made
 

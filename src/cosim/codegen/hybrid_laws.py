@@ -52,13 +52,8 @@ def law_sizes(system: Hybrid) -> dict[str, int]:
     }
 
 
-def law_tables(system: Hybrid, storage: str = "") -> str:
-    """Return the C tables of relations and rules; see fmu/solvers/hybrid/laws.h.
-
-    Args:
-        system: Frozen equations.
-        storage: What precedes each definition, e.g. "static ".
-    """
+def law_tables(system: Hybrid) -> str:
+    """Return the C tables of relations and rules; see fmu/solvers/hybrid/laws.h."""
     relations = [
         (r.floor, of_time, linear, of_input, in_laws, r.at_zero)
         for r, of_time, linear, of_input, in_laws in zip(
@@ -74,15 +69,15 @@ def law_tables(system: Hybrid, storage: str = "") -> str:
         for i, event in enumerate(system.events)
     ]
     numbers: dict[str, Sequence[int]] = {
-        "int assigned": [state for event in system.events for state in event.states],
-        "bool adds": added(system),
-        "int barriers": [i for own in barriers for i in own],
-        "int bounded": system.time_bounds.relations,
+        "int assigned_states": [state for event in system.events for state in event.states],
+        "bool adding": added(system),
+        "int barring": [i for own in barriers for i in own],
+        "int bounded_ones": system.time_bounds.relations,
     }
     tables = [
-        _rows(f"{storage}const Relation relations", relations),
-        _rows(f"{storage}const Rule rules", rules),
-        *(_numbers(f"{storage}const {name}", values) for name, values in numbers.items()),
+        _rows("static const Relation relation_table", relations),
+        _rows("static const Rule rule_table", rules),
+        *(_numbers(f"static const {name}", values) for name, values in numbers.items()),
     ]
     return "\n".join(tables) + "\n"
 
@@ -99,7 +94,7 @@ def _numbers(head: str, values: Sequence[int]) -> str:
     return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
 
 
-TABLES = ("relations", "rules", "assigned", "adds", "barriers", "bounded")
+TABLES = ("relation_table", "rule_table", "assigned_states", "adding", "barring", "bounded_ones")
 
 
 @cached_per_thread(16)

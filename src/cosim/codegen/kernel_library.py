@@ -69,7 +69,7 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
     return LawText(
         functions,
         "".join(f"#define {name} {size}\n" for name, size in sizes.items()),
-        f"{law_tables(system, 'static ')}static const ModelLaws model_laws = {{{members}}};\n",
+        f"{law_tables(system)}static const ModelLaws model_laws = {{{members}}};\n",
     )
 
 

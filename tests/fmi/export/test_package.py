@@ -341,6 +341,6 @@ def test_generated_numbers_are_read_back_bit_by_bit(tmp_path):
     path = cosim.export_fmu(decay(rate=value), tmp_path / "model.fmu")
     assert np.float64(fmpy.read_model_description(str(path)).modelVariables[4].start) == value
     with zipfile.ZipFile(path) as archive:
-        rows = archive.read("sources/model.c").decode().splitlines()
+        rows = archive.read("sources/tables.h").decode().splitlines()
     row = next(row for row in rows if '{"rate"' in row)
     assert ast.literal_eval(row.split(",")[3].strip()) == value

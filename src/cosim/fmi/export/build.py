@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
@@ -9,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
 
-from cosim.codegen.c_sources import cache_folder, runtime_sources
+from cosim.codegen.c_sources import cache_folder
 from cosim.codegen.cache import content_of, private_folder, store
 from cosim.codegen.compiler import FLAGS, compile_library, find_compiler
 from cosim.errors import CacheError, ExportError
@@ -19,6 +20,7 @@ from cosim.host.progress import doing
 from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import temporary_folder
 
+_INCLUDED = re.compile(rb'^#include "(.+\.c)"', re.MULTILINE)
 _LONG = 200_000  # characters; longer code is made 6 % smaller, and at most 4 % slower
 
 
@@ -84,12 +86,9 @@ def compiled_library(
         with ended_by_signals(), temporary_folder(folder) as build:
             for file, text in sources.items():
                 (build / file).write_bytes(text)
-            files, runtime = set(build.glob("*.c")), {entry.name for entry in runtime_sources()}
-            together = build / "all_of_runtime.c"  # compiled in half the time of the single files
-            parts = sorted(file for file in files if file.name in runtime)
-            together.write_text("".join(f'#include "{file.name}"\n' for file in parts))
+            parts = {found.decode() for found in _INCLUDED.findall(sources["fmu.c"])}
             content = compile_library(
-                [together, *sorted(files.difference(parts))],
+                sorted(file for file in build.glob("*.c") if file.name not in parts),
                 build / library,
                 include=[fmi_headers()],
                 options=[f"-ffile-prefix-map={build}=.", *options],

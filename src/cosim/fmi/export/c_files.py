@@ -48,24 +48,23 @@ def model_header(plan: Plan, guid: str) -> str:
 
 
 def variable_table(plan: Plan) -> str:
-    """Return `model.c`: variables by value reference, validity conditions, relations and events."""
+    """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
     limits = "".join(f"    {literal(meaning)},\n" for _, meaning in plan.dae.limits)
     violations = "".join(f"    {literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
-#include "variables.h"
 #include <float.h>
 #include <stddef.h>
 
-const VariableInfo variables[] = {{
+static const VariableInfo variables[] = {{
 {rows}}};
 
-const char *const limits[] = {{
+static const char *const limits[] = {{
 {limits}    NULL,
 }};
 
-const char *const violations[] = {{
+static const char *const violations[] = {{
 {violations}    NULL,
 }};
 {event_tables(plan.system)}"""
@@ -81,11 +80,10 @@ _SMALL_FUNCTION = re.compile(
 _HEADING = re.compile(r"^/\* \w+:.*\n(?:SMALL )?(?:static )?int ", re.MULTILINE)
 
 _SYSTEM_HEADER = re.compile(r"^#include <[^>]*>\n", re.MULTILINE)
-_MODEL_NAME = re.compile(r"\bmodel_")  # also the prefix of CasADi's helper functions
 
 
 def equations_c(plan: Plan) -> str:
-    """Return `equations.c`: CasADi's code, its functions visible inside the library only.
+    """Return `equations.c`: CasADi's code, its functions static.
 
     Raises:
         UsageError: This version of CasADi generates code in another form.
@@ -102,8 +100,20 @@ def equations_c(plan: Plan) -> str:
         )
     # system headers come first, as everything after generated.h is hidden
     headers = sorted({"#include <math.h>\n", *_SYSTEM_HEADER.findall(code)})
-    own = _MODEL_NAME.sub(f"{plan.name}_model_", code)
-    return "".join((*headers, '#include "generated.h"\n', own))
+    return "".join((*headers, '#include "generated.h"\n', code))
+
+
+_NOT_ALL_USED = """/* The whole FMU; no other file here is compiled by itself. */
+#if defined __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-function" /* no FMU uses all */
+#endif
+"""
+
+
+def whole_unit(plan: Plan) -> str:
+    """Return `fmu.c`, the one file to compile: it includes the others, the equations last."""
+    parts = (*sorted(name for name in plan.runtime if name.endswith(".c")), "equations.c")
+    return _NOT_ALL_USED + "".join(f'#include "{name}"\n' for name in parts)
 
 
 def _fields(variable: FmuVariable) -> tuple[str, ...]:

@@ -79,7 +79,7 @@ def event_sizes(system: Hybrid | None) -> str:
 
 
 def event_tables(system: Hybrid | None) -> str:
-    """Return the tables of relations, events and pulses for model.c; empty without events."""
+    """Return the tables of relations, events and pulses for tables.h; empty without events."""
     if system is None:
         return ""
     times, known = fmu_pulses(system.dae), landmarks(system.dae)
@@ -94,14 +94,14 @@ def event_tables(system: Hybrid | None) -> str:
     return f"""
 {law_tables(system)}
 {"".join(_texts(name, own) for name, own in texts.items())}
-const double pulses[] = {{{", ".join(pulses)}}};
-const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
+static const double pulses[] = {{{", ".join(pulses)}}};
+static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
 """
 
 
 def _texts(name: str, texts: Sequence[str]) -> str:
     lines = "".join(f"    {text},\n" for text in (*texts, "NULL"))
-    return f"const char *const {name}[] = {{\n{lines}}};\n"
+    return f"static const char *const {name}[] = {{\n{lines}}};\n"
 
 
 def literal(text: str) -> str:

@@ -17,7 +17,7 @@ from cosim.errors import ExportError, UsageError
 from cosim.files import reject_unwritable, write_atomically
 from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
-from cosim.fmi.export.c_files import equations_c, model_header, variable_table
+from cosim.fmi.export.c_files import equations_c, model_header, variable_table, whole_unit
 from cosim.fmi.export.documentation import documentation_page, pictures
 from cosim.fmi.export.model_description import build_description, model_description
 from cosim.fmi.export.options import FmuKeywords, FmuOptions
@@ -103,7 +103,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     """Return the content of an FMU by path, without binaries."""
     plan = planned(dae, options)
     code = _model_code(plan)
-    sources = sorted(name for name in (*plan.runtime, *code) if name.endswith(".c"))
+    sources = ["fmu.c", *plan.embedded]
     unsigned = model_description(plan, sources, guid="")
     settings = repr((plan.step_size, options.max_step)).encode()
     guid = _guid_of(unsigned, *code.values(), *plan.runtime.values(), settings)
@@ -123,7 +123,8 @@ def _model_code(plan: Plan) -> dict[str, bytes]:
     """Return the C files of the model and of its solver, by name."""
     equations = equations_c(plan)
     reject_unlinked(equations, plan.embedded)
-    own = {"model.c": variable_table(plan), "equations.c": equations, **plan.embedded}
+    own = {"fmu.c": whole_unit(plan), "tables.h": variable_table(plan), "equations.c": equations}
+    own |= plan.embedded
     code = {name: text.encode() for name, text in own.items()} | plan.headers
     if plan.dop853:
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
