@@ -10,7 +10,7 @@ from inspect import isfunction, signature
 from typing import Any, TypeVar
 
 from casadi_models import CATALOG
-from cosim.text import readable, shortened, visible
+from cosim.text import Ending, readable, shortened, visible
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 _Class = TypeVar("_Class")
@@ -83,11 +83,19 @@ class SolverError(CosimError):
 
     Attributes:
         partial: Every output up to there, a `Trajectory`; None if there is nothing.
+        ending: Why it stopped, without the name of the model.
     """
 
-    def __init__(self, message: str, partial: Any = None) -> None:
+    def __init__(self, message: str, partial: Any = None, ending: Ending | None = None) -> None:
         super().__init__(message)
-        self.partial = partial
+        self.partial, self.ending = partial, ending or Ending(message)
+
+    @classmethod
+    def of(cls, owner: str, *ending: str) -> SolverError:
+        """Return the error of a model: why a run cannot go on, and what helps."""
+        why, remedy = ending if len(ending) > 1 else (*ending, "")
+        found = Ending(why, remedy=remedy)
+        return cls(f"{owner}: {found}", ending=found)
 
 
 class Interrupted(KeyboardInterrupt):

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from html import escape
 from typing import Any
 
@@ -77,6 +78,42 @@ class Violation(str):
 
     def __reduce__(self) -> tuple[type["Violation"], tuple[float, str, str]]:
         return Violation, (self.time, self.what, str(self))
+
+
+class EndKind(StrEnum):
+    """What ended a run early."""
+
+    INTERRUPTED = "interrupted"  # Ctrl-C
+    SINGULAR = "singular"  # the solver found no solution with steps of any size
+    TOO_MANY_STEPS = "too many steps"
+    INVALID = "invalid"  # a validity condition
+    FAILED = "failed"
+
+
+class Ending(str):
+    """Why a run stopped early: a text that knows its parts; empty if it did not.
+
+    Attributes:
+        kind: What ended it.
+        remedy: The last part of the text, what helps; empty if that is not known.
+    """
+
+    kind: EndKind
+    remedy: str
+
+    def __new__(cls, why: str = "", kind: EndKind = EndKind.FAILED, remedy: str = "") -> "Ending":
+        """Return the text "WHY; REMEDY"."""
+        self = super().__new__(cls, f"{why}; {remedy}" if remedy else why)
+        self.kind, self.remedy = kind, remedy
+        return self
+
+    def after(self, time: float | None) -> "Ending":
+        """Return the status of a run: this text with the last time of a result, s, or None."""
+        last = "the start" if time is None else f"{time:g} s"
+        return Ending(f"stopped after {last}: {self}", self.kind)
+
+    def __reduce__(self) -> tuple[type["Ending"], tuple[str, EndKind, str]]:
+        return Ending, (self.removesuffix(f"; {self.remedy}"), self.kind, self.remedy)
 
 
 def short_reason(reason: str) -> str:

@@ -17,6 +17,7 @@ from cosim.arrays import Vector
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled, Left
+from cosim.text import Ending, EndKind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +88,11 @@ class RunStats(Mapping[str, Any]):
         return self._known() | dict(more)
 
 
-INTERRUPTED = "interrupted"
+INTERRUPTED = Ending("interrupted", EndKind.INTERRUPTED)
+_KINDS = {  # by the end of the flags of SUNDIALS
+    "IDA_CONV_FAIL": EndKind.SINGULAR,
+    "TOO_MUCH_WORK": EndKind.TOO_MANY_STEPS,
+}
 _TIME = re.compile(r"\b([th]) = ([-+.\de]*\d)")  # as SUNDIALS prints the time and the step
 _BLOCK = 65_536  # rows
 
@@ -100,8 +105,7 @@ class Reached:
         states: States at the output times up to the last finite one, (nx, n).
         algebraics: Algebraic unknowns at these times, (nz, n).
         counts: Numbers of steps and calls.
-        reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C; empty if it
-            reached that time.
+        reason: Why it stopped before the last output time, `INTERRUPTED` after Ctrl-C.
         solve_time: Time of the solver, s.
         crossing: Time and relation at which it ended; the last columns are the values there.
         watched: Whether it would have ended at a relation that leaves its mode.
@@ -111,7 +115,7 @@ class Reached:
     states: Vector
     algebraics: Vector
     counts: Counts
-    reason: str
+    reason: Ending
     solve_time: float
     crossing: Crossing | None = None
     watched: bool = False
@@ -143,8 +147,8 @@ def call(
             reason, counts = _flag(str(error)), engine.counts()
         else:
             counts = engine.counts()
-            cause = counts.cause or "step size too small, or too many steps"
-            reason = "" if filled.succeeded else cause
+            cause = counts.cause or Ending("step size too small, or too many steps")
+            reason = Ending() if filled.succeeded else cause
     solve_time = perf_counter() - began
     _, reached, crossing, events = filled
     if reached is None:
@@ -159,9 +163,9 @@ def call(
     elif reason:
         last = messages.getvalue().strip().rpartition("\n")[2].rstrip(". ")
         last = _TIME.sub(lambda found: f"{found[1]} = {unit * float(found[2]):g}", last)
-        reason += f" ({last})" if last else ""
+        reason = Ending(f"{reason} ({last})", reason.kind) if last else reason
     elif len(states) < n and crossing is None:
-        reason = "a state is not finite"
+        reason = Ending("a state is not finite")
     transposed = states.T, algebraics.T
     watched = engine.watches and left is not None
     return Reached(*transposed, counts, reason, solve_time, crossing, watched, events)
@@ -256,7 +260,9 @@ def call_on_arrays(
     return not buffer.ret()
 
 
-def _flag(message: str) -> str:
+def _flag(message: str) -> Ending:
     """Return the SUNDIALS flag, or the last line of CasADi's message."""
     flag = message.partition('returned "')[2].partition('"')[0]
-    return flag or message.strip().splitlines()[-1][:200]
+    kinds = (kind for end, kind in _KINDS.items() if flag.endswith(end))
+    text = flag or message.strip().splitlines()[-1][:200]
+    return Ending(text, next(kinds, EndKind.FAILED))

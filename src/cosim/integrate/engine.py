@@ -16,6 +16,7 @@ from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
+from cosim.text import Ending, EndKind
 
 
 class Counts(NamedTuple):
@@ -24,15 +25,15 @@ class Counts(NamedTuple):
     steps: int | None = None
     rhs_calls: int | None = None
     jacobian_calls: int | None = None
-    cause: str = ""
+    cause: Ending = Ending()
 
     @classmethod
     def total(cls, every: "Sequence[Counts]") -> "Counts":
-        """Return the sums over parts of a run, with the last cause; None where one is not known."""
+        """Return the sums over parts of a run; None where one is not known."""
         rows = np.array([counts[:3] for counts in every], dtype=float)  # None is NaN there
         sums = rows.reshape(-1, 3).sum(axis=0).tolist()
         steps, rhs_calls, jacobian_calls = (None if isnan(n) else int(n) for n in sums)
-        return cls(steps, rhs_calls, jacobian_calls, every[-1].cause if every else "")
+        return cls(steps, rhs_calls, jacobian_calls)
 
 
 @dataclass(frozen=True)
@@ -191,17 +192,19 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
     def counts() -> Counts:
         library.cosim_report(numbers)
         steps, rhs, jacobians, status, reached, last = numbers
-        cause = ""
+        cause = Ending()
         if status not in (0, _EVENT):
-            why = _CAUSES.get(int(status), "it gave up")
-            cause = f"{why} at t = {start + length * reached:g}, h = {length * last:.2g}"
+            why = CAUSES.get(int(status), "it gave up")
+            kind = EndKind.TOO_MANY_STEPS if status == 1 else EndKind.FAILED
+            place = f"t = {start + length * reached:g}, h = {length * last:.2g}"
+            cause = Ending(f"{why} at {place}", kind)
         return Counts(int(steps), int(rhs), int(jacobians), cause)
 
     return counts
 
 
 _EVENT = 6  # status of a run that ended where a relation leaves its mode
-_CAUSES = {
+CAUSES = {  # by code of fmu/solvers
     1: "too many steps",
     2: "step size too small",
     3: "inconsistent algebraic unknowns",

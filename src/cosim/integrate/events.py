@@ -21,7 +21,7 @@ from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
-from cosim.integrate.kernel import Ending, Kernel, Reason, reject
+from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
 from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
@@ -32,6 +32,7 @@ from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
+from cosim.text import Ending
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
@@ -179,23 +180,23 @@ class _Course:
         begin, end = self.grid[[0, -1]].tolist()
         return float((self.at.t - begin) / (end - begin))
 
-    def _all(self) -> str:
+    def _all(self) -> Ending:
         """Integrate from event to event.
 
         Returns:
             Why the run stopped early; empty if it did not, or an event ended it.
         """
-        reason = ""
+        reason = Ending()
         while self.next < len(self.grid) and not self.stop and not reason:
             try:
                 reason = self._advance()
             except InitialConditionError:
-                reason = f"no solution after the jump of an input at {self.at.t:g} s"
+                reason = Ending(f"no solution after the jump of an input at {self.at.t:g} s")
             except SolverError as error:
-                reason = str(error).removeprefix(f"{self.dae.full_name}: ")
+                reason = error.ending
         return reason
 
-    def _advance(self) -> str:
+    def _advance(self) -> Ending:
         """Integrate to the end of a window, or to the first event in it.
 
         Returns:
@@ -225,13 +226,13 @@ class _Course:
             due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
             self._switch(event, found.crossing, found.first)
-            return ""
+            return Ending()
         if piece.reason:
             self._accept(piece, np.inf)
             if piece.reason == INTERRUPTED or len(piece.times) < 2:
                 return piece.reason
             self.at, self.window = piece.at_end(), self.least_window
-            return ""  # a fresh start may succeed
+            return Ending()  # a fresh start may succeed
         self._accept(piece, end)
         piece.let_go()
         self.window *= 2
@@ -242,7 +243,7 @@ class _Course:
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
-        return ""
+        return Ending()
 
     def _next_rest(self, series: InputSeries | None, end: float) -> float:
         """Return when an input comes to rest where a relation of inputs is 0, s, before an end.
@@ -334,7 +335,7 @@ class _Course:
             self._plan()
         self._write(self.at.t)
 
-    def _end(self, ending: Ending, switched: Iterable[int]) -> None:
+    def _end(self, ending: Outcome, switched: Iterable[int]) -> None:
         """End the run if an event does so; raise the error of an instant without a result."""
         if ending.reason is Reason.STOPPED:
             self.stop = self.system.events[ending.part].message

@@ -12,10 +12,7 @@ from cosim.errors import CompilerTimeout, CosimError, SolverError
 from cosim.integrate.families.sundials import Idas
 from cosim.integrate.preparation import Prepared
 from cosim.model.request import RunRequest
-
-# Corrector iterations that fail at every step size indicate a singularity, beyond which a retried
-# run could follow another branch of the solution.
-_AT_A_SINGULARITY = "IDA_CONV_FAIL"
+from cosim.text import EndKind
 
 
 def next_request(
@@ -40,10 +37,10 @@ def next_request(
         return replace(request, policy=policy), f"interpreted: {failure}"
     if not isinstance(failure, SolverError) or not isinstance(solver, Idas):
         return None
-    reason = getattr(failure.partial, "status", "").partition(": ")[2]
-    singular = reason.startswith(_AT_A_SINGULARITY)
+    # beyond a singularity, a retried run could follow another branch of the solution
+    singular = failure.ending.kind is EndKind.SINGULAR
     if solver.suppress_algebraic or singular or not request.dae.algebraics:
         return None
     lenient = replace(solver, suppress_algebraic=True)
-    note = f"IDAS ran without the algebraic unknowns in its error test; with them: {reason}"
+    note = f"IDAS ran without the algebraic unknowns in its error test; with them: {failure.ending}"
     return replace(request, solver=lenient), note

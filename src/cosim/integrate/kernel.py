@@ -53,7 +53,7 @@ class State(IntEnum):
     SLIDES = 3
 
 
-class Ending(NamedTuple):
+class Outcome(NamedTuple):
     """How an instant ended: `Ending` of fmu/solvers/hybrid/settle.h.
 
     Attributes:
@@ -80,7 +80,7 @@ class Happening(NamedTuple):
         replan: Whether the next time event has to be found anew.
     """
 
-    ending: Ending
+    ending: Outcome
     events: list[int]
     zero: frozenset[int]
     replan: bool
@@ -193,7 +193,7 @@ class Kernel:
         x, z, u = (self._arrays[name][:-1].copy() for name in ("x", "z", "u"))
         return x, z, u
 
-    def begin(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> Ending:
+    def begin(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> Outcome:
         """Find the modes of a start; `values` holds them.
 
         Args:
@@ -282,9 +282,9 @@ class Kernel:
         places = (_PLACE(a.ctypes.data) for a in rows)
         self._library.cosim_note_inside(ctypes.byref(self._call), *places)
 
-    def _ending(self) -> Ending:
+    def _ending(self) -> Outcome:
         call = self._call
-        return Ending(Reason(call.reason), call.part, call.other, call.state, call.size)
+        return Outcome(Reason(call.reason), call.part, call.other, call.state, call.size)
 
 
 def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, frozenset[int]]:
@@ -311,7 +311,7 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, frozenset[
     return at, frozenset(np.flatnonzero(small).tolist()) & frozenset(plain.of_states)
 
 
-def reject(system: Hybrid, t: float, ending: Ending, switched: str) -> None:
+def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
     """Raise the error of an instant that a run cannot go on from.
 
     Args:
@@ -328,38 +328,39 @@ def reject(system: Hybrid, t: float, ending: Ending, switched: str) -> None:
     state = system.dae.states[ending.state].name if ending.state >= 0 else ""
     match ending.reason:
         case Reason.NO_VALUE:
-            text = f"the equations have no value at the event at {t:.12g} s"
+            why = [f"the equations have no value at the event at {t:.12g} s"]
         case Reason.NO_MODES:
-            text = f"no consistent modes at {t:.12g} s ({system.described(part)})"
+            why = [f"no consistent modes at {t:.12g} s ({system.described(part)})"]
         case Reason.TOO_MANY_ROUNDS:
-            text = (
-                f"{event} happens again and again at {t:.12g} s, more than 100 times; let its "
-                "assignments make its condition false"
-            )
+            why = [
+                f"{event} happens again and again at {t:.12g} s, more than 100 times",
+                "let its assignments make its condition false",
+            ]
         case Reason.TOO_CLOSE:
-            text = (
-                f"{event} happens ever faster before {t:.12g} s (Zeno); end the run before with a "
-                "stop condition, or let the motion rest there"
-            )
+            why = [
+                f"{event} happens ever faster before {t:.12g} s (Zeno)",
+                "end the run before with a stop condition, or let the motion rest there",
+            ]
         case Reason.CONTRADICTS:
             other = f"'{system.events[ending.other].name}'"
-            text = (
-                f"{other} and {event} give {state} different values at {t:.12g} s; make one event "
-                "of them, or conditions that exclude each other"
-            )
+            why = [
+                f"{other} and {event} give {state} different values at {t:.12g} s",
+                "make one event of them, or conditions that exclude each other",
+            ]
         case Reason.NOT_FINITE_ASSIGNED:
-            text = f"{event} gives {state} no finite value at {t:.12g} s; assign a finite one"
+            why = [f"{event} gives {state} no finite value at {t:.12g} s", "assign a finite one"]
         case Reason.VIOLATES:
-            meaning = system.dae.invariants[ending.other].meaning
-            text = (
-                f"{event} at {t:.12g} s leaves states that violate: {meaning} "
-                f"(by {ending.size:.2g}); assign consistent values"
-            )
+            violated = f"{system.dae.invariants[ending.other].meaning} (by {ending.size:.2g})"
+            why = [
+                f"{event} at {t:.12g} s leaves states that violate: {violated}",
+                "assign consistent values",
+            ]
         case Reason.STAYS_TRUE:
-            text = (
+            why = [
                 f"the condition of {event} stays true after {t:.12g} s, so that it cannot happen "
-                "again; let the motion rest there by a mode or a contact"
-            )
+                "again",
+                "let the motion rest there by a mode or a contact",
+            ]
         case _:
             return
-    raise SolverError(f"{system.dae.full_name}: {text}")
+    raise SolverError.of(system.dae.full_name, *why)

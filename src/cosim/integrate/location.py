@@ -21,6 +21,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import Solver
 from cosim.model.values import Values
+from cosim.text import Ending
 
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _MOST_TRIALS = 40
@@ -95,10 +96,8 @@ class Piece:
         z = begin.z
         if own.sliding and own.dae.derived and problem.inputs:
             for name in moving_paths(own, problem.inputs):
-                raise SolverError(
-                    f"{own.dae.full_name}: derivatives of what rests on {name}, which a series "
-                    "moves, are not known; give it as a formula"
-                )
+                why = f"derivatives of what rests on {name}, which a series moves, are not known"
+                raise SolverError.of(own.dae.full_name, why, "give it as a formula")
         if own.sliding and own.dae.algebraics:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
         watched = replace(problem, system=own)
@@ -141,7 +140,7 @@ class Piece:
         same = len(times) - int(apart.sum())
         if not len(x) or same + 1 == len(times):
             states, unknowns = (np.repeat(row[:, None], len(times), axis=1) for row in (x, z))
-            return Reached(states, unknowns, Counts(0, 0, 0), "", 0.0)
+            return Reached(states, unknowns, Counts(0, 0, 0), Ending(), 0.0)
         if same:
             ahead = [np.repeat(row[:, None], same, axis=1) for row in (x, z)]
             found = self._run(problem, times[apart], x, z)

@@ -40,7 +40,7 @@ def sliding(system: Hybrid, which: frozenset[int]) -> Hybrid:
         return system.slid(which)
     except ValueError as error:
         names = ", ".join(system.described(i) for i in sorted(which))
-        raise SolverError(f"{system.dae.full_name}: {names}: {error}") from None
+        raise SolverError.of(system.dae.full_name, f"{names}: {error}") from None
 
 
 class Watched(NamedTuple):

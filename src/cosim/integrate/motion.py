@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from cosim.codegen.functions import equations
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts
 from cosim.integrate.modes import Instant
+from cosim.text import Ending
 
 
 class EventRecord(NamedTuple):
@@ -54,12 +56,18 @@ class Motion:
     algebraics: Vector
     u: Vector
     counts: Counts
-    reason: str = ""
+    reason: Ending = Ending()  # noqa: RUF009
     solve_time: float | None = None
     events: list[EventRecord] = field(default_factory=list)
     stop: str = ""
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
+
+    @cached_property
+    def moving(self) -> Vector:
+        """States, algebraic unknowns and inputs, (rows, n)."""
+        u = np.broadcast_to(self.u, (len(self.u), len(self.time)))
+        return np.vstack((self.states, self.algebraics, u))
 
 
 def rates_at(motion: Motion, rows: Vector | slice, p: Vector) -> Vector:

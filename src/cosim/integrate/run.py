@@ -43,6 +43,7 @@ from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import Times
 from cosim.model.values import Values, numbers_of, own_sizes
 from cosim.series.samples import uncontrolled
+from cosim.text import Ending, EndKind
 from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
@@ -85,7 +86,7 @@ def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
 
 def _evaluated(
     prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach]
-) -> tuple[Vector, int, str, list[Breach]]:
+) -> tuple[Vector, int, Ending, list[Breach]]:
     """Evaluate the recorded variables while they are finite and, if requested, valid.
 
     Returns:
@@ -109,24 +110,25 @@ def _evaluated(
     seen.table.setflags(write=False)  # a result need not copy it
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
-        reason = reason or f"{name} is not finite at {grid[n]:g} s"
+        reason = reason or Ending(f"{name} is not finite at {grid[n]:g} s")
     found = list(coarse)
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
-            n, reason = singular
+            n, why = singular
+            reason = Ending(why.removesuffix(f"; {PROJECTION}"), EndKind.SINGULAR, PROJECTION)
         elif singular is not None:  # an explicit formulation goes on, with a warning
             found.append(singular)
     if checked:
         found += breaches(dae, solved, seen, n)
         found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
-            n, reason = found[0]
+            n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
-        reason = f"{reason}; {near}: {PROJECTION}"
+        reason = Ending(reason, reason.kind, f"{near}: {PROJECTION}")
     return seen.table, n, reason, found
 
 
@@ -163,7 +165,7 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
 
 def _step_check(
     problem: Problem, solver: FixedStep, found: Motion, start: InitialState
-) -> tuple[list[Breach], str]:
+) -> tuple[list[Breach], Ending]:
     """Check the error of fixed steps by a second run with half the step.
 
     Returns:
@@ -175,10 +177,7 @@ def _step_check(
         return [], INTERRUPTED
     n = min(found.states.shape[1], finer.states.shape[1])
     grid, states = found.time[:n], (found.states[:, :n], finer.states[:, :n])
-    return too_coarse(problem.dae, grid, *states, step), ""
-
-
-_TOO_MANY_STEPS = ("TOO_MUCH_WORK", "too many steps at")  # as SUNDIALS and our solvers report it
+    return too_coarse(problem.dae, grid, *states, step), Ending()
 
 
 def run(request: RunRequest) -> Trajectory:
@@ -246,7 +245,7 @@ def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Tra
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     """Run once, without a fallback."""
     began, compiling = perf_counter(), time_compiling()
-    problem, values, status = prepared.problem, request.numbers, "complete"
+    problem, values = prepared.problem, request.numbers
     dae = problem.dae
     with doing(dae.full_name):
         motion, coarse = _integrated(prepared, values)
@@ -279,9 +278,7 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
         stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
         stop_time=float(time[-1]) if stop else None,
     )
-    if reason:
-        last = f"{motion.time[n - 1]:g} s" if n else "the start"
-        status = f"stopped after {last}: {reason}"
+    status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
     found = Trajectory(
         dae.full_name,
@@ -323,26 +320,27 @@ def _small_states(dae: Dae, solver: Solver, states: Vector) -> str:
     return uncontrolled(columns, states.T, relative, absolute * sizes)
 
 
-def _failure(prepared: Prepared, reason: str, found: Trajectory) -> SolverError:
+def _failure(prepared: Prepared, reason: Ending, found: Trajectory) -> SolverError:
     """Return the error of a run that stopped early, with the time, the cause and the remedies."""
     dae, solver = prepared.problem.dae, prepared.solver
     what = f"{dae.full_name}: {solver.name} {found.status}"
-    if reason in found.stats.get("invalid", ()):
-        return SolverError(f"{what}; on_invalid='warn' goes on from there", found)
-    if "; " in reason:  # it names the remedy
-        return SolverError(what, found)
+    if reason.kind is EndKind.INVALID:
+        return SolverError(f"{what}; on_invalid='warn' goes on from there", found, reason)
+    if reason.remedy:
+        return SolverError(what, found, reason)
     others = [n for n, s in SOLVERS.items() if s.solves_dae and n != solver.name]
     which = f" ({', '.join(others)})" if dae.algebraics else ""
     if dae.algebraics and dae.invariants and not prepared.problem.project:
         which += f'; {Dop853.name} with drift_control="projection" passes singular configurations'
     closer = ""
-    if any(words in reason for words in _TOO_MANY_STEPS):
+    if reason.kind is EndKind.TOO_MANY_STEPS:
         closer = f", or closer output times (for {MOST_STEPS:,} steps from one to the next)"
     return SolverError(
         f"{what} ({solver.settings}); look for a "
         "singularity near that state, or use another tolerance or step, formulation or "
         f"solver{which}{closer}",
         found,
+        reason,
     )
 
 

@@ -73,10 +73,11 @@ def crossed(
         system = kernel.system
         names = [system.events[i].name for i in happened.events]
         names = names or [system.described(i) for i in order]
-        raise SolverError(
-            f"{system.dae.full_name}: {', '.join(dict.fromkeys(names))} at {at.t:.12g} s happen at "
-            "one time, and what follows depends on their order: there are one-sided derivatives "
-            "only; change an initial value or a parameter a little"
+        raise SolverError.of(
+            system.dae.full_name,
+            f"{', '.join(dict.fromkeys(names))} at {at.t:.12g} s happen at one time, and what "
+            "follows depends on their order: there are one-sided derivatives only",
+            "change an initial value or a parameter a little",
         )
     return slid_derivatives(kernel.system, found, p, slid), happened
 

@@ -24,7 +24,7 @@ from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
 from cosim.model.values import Values, own_sizes
-from cosim.text import Violation, violated
+from cosim.text import Ending, EndKind, Violation, violated
 
 CAUSES = {  # by code of the library
     1: "too many steps",
@@ -261,12 +261,12 @@ def batch_outcome(dae: Dae, report: np.void, grid: Vector) -> tuple[RunState, st
         outside = Violation(left, violated(meaning))
     if not code:
         return RunState.COMPLETE, "", outside
-    last = f"{grid[good - 1]:g} s" if good else "the start"
+    last = grid[good - 1] if good else None
     if code == OUTSIDE:
-        return RunState.STOPPED, f"stopped after {last}: {outside}", outside
+        return RunState.STOPPED, Ending(outside, EndKind.INVALID).after(last), outside
     state = RunState.INTERRUPTED if code == HALTED else RunState.FAILED
     at_time = "" if code == HALTED else f" at t = {report['ended']:g}"
-    return state, f"stopped after {last}: {CAUSES[code]}{at_time}", outside
+    return state, Ending(f"{CAUSES[code]}{at_time}").after(last), outside
 
 
 def why_no_start(dae: Dae, t: float, values: ManyValues, run: int) -> str:
