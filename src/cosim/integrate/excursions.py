@@ -79,9 +79,7 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
 
 def _moved(motion: Motion, times: Vector) -> Vector:
     """Return time, states, unknowns and inputs on lines between rows, (n, times)."""
-    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
-    rows = np.vstack((motion.states, motion.algebraics, u))
-    return np.vstack((times, *(np.interp(times, motion.time, row) for row in rows)))
+    return np.vstack((times, *(np.interp(times, motion.time, row) for row in motion.moving)))
 
 
 def excursions(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,6 +11,7 @@ from cosim.arrays import Truths, Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
+from cosim.integrate.outputs import derivatives_at
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Closer, StatePath, growth_along, suppressed_growth
 from cosim.model.solver import AdaptiveSolver
@@ -52,7 +52,12 @@ def _path(motion: Motion, sizes: Vector, p: Vector) -> StatePath:
         return rates_at(at, slice(None), p)
 
     def slopes(time: float, states: Vector) -> Vector:
-        return _slopes(motion.dae, (time, states, *_known(motion, np.array([time])), p))
+        z, u = _known(motion, np.array([time]))
+        try:
+            found = derivatives_at(motion.dae, (), time, states, z, u, p)[2]
+        except np.linalg.LinAlgError:
+            return np.full((len(states), len(states)), np.nan)
+        return found[: len(states), : len(states)]
 
     names = [state.name for state in motion.dae.states]
     return StatePath(names, motion.time, motion.states, sizes, rates, slopes)
@@ -65,23 +70,10 @@ def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
     return motion.algebraics[:, rows], u[:, rows]
 
 
-def _slopes(dae: Dae, at: Sequence[Any]) -> Vector:
-    """Return the derivatives of the rates with respect to the states at (t, x, z, u, p)."""
-    of_x, of_z, *closing = (np.array(block) for block in _blocks(dae)(*at))
-    if not closing:
-        return np.asarray(of_x)
-    try:
-        return np.asarray(of_x - of_z @ np.linalg.solve(closing[1], closing[0]))
-    except np.linalg.LinAlgError:
-        return np.full(of_x.shape, np.nan)
-
-
 @cached_per_thread(16)
-def _blocks(dae: Dae) -> ca.Function:
-    """Return the derivatives of dx/dt and of the algebraic equations by x and z."""
-    laws = [dae.ode, dae.alg] if dae.algebraics else [dae.ode]
-    blocks = [ca.densify(ca.jacobian(law, of)) for law in laws for of in (dae.x, dae.z)]
-    return ca.Function("blocks", dae.arguments, blocks, {"cse": True})
+def _slopes_of_ode(dae: Dae) -> ca.Function:
+    slopes = ca.densify(ca.jacobian(dae.ode, dae.x))
+    return ca.Function("slopes", dae.arguments, [slopes], {"cse": True})
 
 
 def growing_starts(
@@ -102,7 +94,7 @@ def growing_starts(
     if not found.size:
         return found
     known = begin, x, np.empty((0, 1)), u, p
-    rate, of_x = (np.array(law(*known)[0]) for law in (equations(dae), _blocks(dae)))
+    rate, of_x = np.array(equations(dae)(*known)[0]), np.array(_slopes_of_ode(dae)(*known))
     slopes = of_x.reshape(len(x), len(found), len(x)).transpose(1, 0, 2)
     slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0
     fastest = np.linalg.eigvals(slopes).real.max(axis=1)

@@ -1,4 +1,4 @@
-"""`observe`: evaluate everything that a run records from its states."""
+"""`observe`: evaluate everything that a run records from its states; `derivatives_at`."""
 
 import ctypes
 from dataclasses import dataclass
@@ -205,3 +205,40 @@ def _observer(dae: Dae, n: int, compiled: bool) -> ca.Function:
     if compiled:
         (function,) = external([function], cache_key("observe", function), ["observe"])
     return function.map("every", "serial", n, [4], [])
+
+
+def derivatives_at(
+    dae: Dae, names: tuple[str, ...], t: float, x: Vector, z: Vector, u: Vector, p: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """Return rates and outputs at a state, and their derivatives by states and inputs.
+
+    Args:
+        dae: The model; its algebraic unknowns follow what the derivatives are by.
+        names: The outputs.
+        t, x, z, u, p: The state, where the algebraic equations hold.
+
+    Returns:
+        (nx,), (ny,) and (nx + ny, nx + nu).
+
+    Raises:
+        LinAlgError: The algebraic equations are singular.
+    """
+    found = _jacobians(dae, names).call([t, x, z, u, p])
+    rates, outputs, by_xu, by_z, alg_xu, alg_z = (np.array(block) for block in found)
+    if len(z):
+        by_xu = by_xu - by_z @ np.linalg.solve(alg_z, alg_xu)
+    return rates.ravel(), outputs.ravel(), by_xu
+
+
+@cached_per_thread(8)
+def _jacobians(dae: Dae, names: tuple[str, ...]) -> ca.Function:
+    """Return the function of rates, outputs, and the partial derivatives of both and of alg."""
+    dae = dae.watching(names)
+    _, places = recorded_columns(dae, names)
+    chosen = ca.densify(ca.vertcat(dae.x, dae.z, dae.outputs)[list(places)])
+    xu = ca.vertcat(dae.x, dae.u)
+    both = ca.vertcat(dae.ode, chosen)
+    blocks = [ca.jacobian(rows, by) for rows in (both, dae.alg) for by in (xu, dae.z)]
+    return ca.Function(
+        "jacobians", dae.arguments, [dae.ode, chosen, *map(ca.densify, blocks)], {"cse": True}
+    )

@@ -12,8 +12,8 @@ from casadi_models.dae import Model
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.study.linearize.linearize import linearize
-from cosim.study.linearize.local import cyclic_states
-from cosim.study.linearize.spectrum import blocks
+from cosim.study.linearize.local import influence
+from cosim.study.linearize.spectrum import blocks, without_influence
 
 UPRIGHT = {"phi_dot": 0.0}
 
@@ -110,7 +110,7 @@ def test_linearization_at_a_time_uses_the_state_of_the_run():
 
 def test_cyclic_states_influence_only_each_other():
     dae = cosim.load("bicycle/independent")
-    names = [dae.states[i].name for i in cyclic_states(dae)]
+    names = [dae.states[i].name for i in without_influence(influence(dae))]
     assert names == ["thetaR", "psi", "thetaF", "xP", "yP"]
 
 

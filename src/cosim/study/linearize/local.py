@@ -15,11 +15,11 @@ from cosim.errors import InitialConditionError
 from cosim.integrate.initial_values import algebraic_values
 from cosim.integrate.kernel import settled
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
-from cosim.integrate.outputs import recorded_columns
+from cosim.integrate.outputs import derivatives_at
 from cosim.memo import cached_per_thread
 from cosim.model.reduction import pattern
 from cosim.model.values import Values
-from cosim.study.linearize.spectrum import EPS, without_influence
+from cosim.study.linearize.spectrum import EPS
 
 SAME = 1e-9  # relative difference of equal linear systems
 TRIALS = 2  # pairs of states beside a state that show what rounding changes
@@ -144,11 +144,6 @@ def _without_derivative(
     )
 
 
-def cyclic_states(dae: Dae) -> tuple[int, ...]:
-    """Return the indices of the states that influence only each other."""
-    return without_influence(influence(dae))
-
-
 def influence(dae: Dae) -> Truths:
     """Return the sparsity of d(rate)/d(state), algebraic unknowns eliminated."""
     through = np.outer(pattern(dae.ode, dae.z).any(axis=1), pattern(dae.alg, dae.x).any(axis=0))
@@ -190,24 +185,5 @@ def at_point(
     dae: Dae, names: tuple[str, ...], time: float, x: Vector, values: Values
 ) -> tuple[Vector, Vector, Vector]:
     """Return rates and outputs at a state, and their derivatives by states and inputs."""
-    z, function = algebraic_values(dae, time, x, values), _jacobians(dae, names)
-    rates, outputs, by_xu, by_z, alg_xu, alg_z = (
-        np.array(block) for block in function.call([time, x, z, values.u, values.p])
-    )
-    if len(z):
-        by_xu = by_xu - by_z @ np.linalg.solve(alg_z, alg_xu)
-    return rates.ravel(), outputs.ravel(), by_xu
-
-
-@cached_per_thread(8)
-def _jacobians(dae: Dae, names: tuple[str, ...]) -> ca.Function:
-    """Return the function of rates, outputs, and the partial derivatives of both and of alg."""
-    dae = dae.watching(names)
-    _, places = recorded_columns(dae, names)
-    chosen = ca.densify(ca.vertcat(dae.x, dae.z, dae.outputs)[list(places)])
-    xu = ca.vertcat(dae.x, dae.u)
-    both = ca.vertcat(dae.ode, chosen)
-    blocks = [ca.jacobian(rows, by) for rows in (both, dae.alg) for by in (xu, dae.z)]
-    return ca.Function(
-        "jacobians", dae.arguments, [dae.ode, chosen, *map(ca.densify, blocks)], {"cse": True}
-    )
+    z = algebraic_values(dae, time, x, values)
+    return derivatives_at(dae, names, time, x, z, values.u, values.p)
