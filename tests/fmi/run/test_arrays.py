@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+from helpers.fmu_files import with_description
 from helpers.typed_part import typed_part
 
 import cosim
@@ -105,3 +106,13 @@ def test_info_shows_the_sizes_of_arrays(path, capsys):
     assert main(["info", str(path), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["output"][:1]
     assert (row["name"], row["dimensions"]) == ("y", [2])
+
+
+def test_a_derivative_of_another_shape_than_its_state_is_rejected(path, tmp_path):
+    def edit(root):
+        state = root.find("ModelVariables/*[@name='x']")
+        state.remove(state.find("Dimension"))
+
+    damaged = with_description(path, tmp_path / "damaged.fmu", edit)
+    with pytest.raises(FmuError, match=r"is the derivative of x, but of another shape; give both"):
+        cosim.simulate_fmu(damaged)

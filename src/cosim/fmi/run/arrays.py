@@ -45,7 +45,7 @@ def with_elements(description: Any, structural: Mapping[str, float] | None = Non
         structural: Values of structural parameters, which give sizes; those of the file for others.
 
     Raises:
-        FmuError: The arrays are too large.
+        FmuError: The arrays are too large, or a derivative has another shape than its state.
     """
     return _with_elements(description, tuple(sorted((structural or {}).items())))
 
@@ -60,6 +60,12 @@ def _with_elements(description: Any, structural: tuple[tuple[str, float], ...]) 
     shapes = {id(v): _shape(v, sizes) for v in own if v.dimensions}
     if (count := sum(map(prod, shapes.values()))) > _MOST_ELEMENTS:
         raise FmuError(f"{description.modelName}: its arrays have {count} elements; give fewer")
+    for v in own:
+        if v.derivative is not None and shapes.get(id(v)) != shapes.get(id(v.derivative)):
+            raise FmuError(
+                f"{description.modelName}: {v.name} is the derivative of {v.derivative.name}, but "
+                "of another shape; give both the same dimensions"
+            )
     elements = {id(v): _elements(v, shapes[id(v)]) for v in own if v.dimensions}
     for variable in own:
         for element in elements.get(id(variable), ()):
