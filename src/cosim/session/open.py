@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 from numpy.typing import ArrayLike
 
@@ -23,16 +23,22 @@ from cosim.session.session import Session
 from cosim.session.single_copies import SingleCopies
 
 
+class SessionKeywords(TypedDict, total=False):
+    """Keywords of `open` for one session and for copies."""
+
+    start_time: float | None
+    stop_time: float | None
+    relative_tolerance: float | None
+    solver: str | None
+
+
 @overload
 def open(
     model: Dae | System | str | os.PathLike[str],
     *,
     copies: None = None,
     start_values: Mapping[str, float | str] | None = None,
-    start_time: float | None = None,
-    stop_time: float | None = None,
-    relative_tolerance: float | None = None,
-    solver: str | None = None,
+    **keywords: Unpack[SessionKeywords],
 ) -> Session: ...
 @overload
 def open(
@@ -40,20 +46,14 @@ def open(
     *,
     copies: int,
     start_values: Mapping[str, ArrayLike | str] | None = None,
-    start_time: float | None = None,
-    stop_time: float | None = None,
-    relative_tolerance: float | None = None,
-    solver: str | None = None,
+    **keywords: Unpack[SessionKeywords],
 ) -> Copies: ...
 def open(
     model: Dae | System | str | os.PathLike[str],
     *,
     copies: int | None = None,
     start_values: Mapping[str, Any] | None = None,
-    start_time: float | None = None,
-    stop_time: float | None = None,
-    relative_tolerance: float | None = None,
-    solver: str | None = None,
+    **keywords: Unpack[SessionKeywords],
 ) -> Session | Copies:
     """Begin a session: a model that stays alive, is advanced step by step, saved and restored.
 
@@ -68,6 +68,8 @@ def open(
             SIMD lanes and threads; one session when None.
         start_values: Start values, parameters and constant inputs by name, as in `simulate`; of
             copies also arrays, (copies,).
+
+    Keyword Args:
         start_time: s; 0, or that of the FMU, when None.
         stop_time: End that the FMU learns, s, and rejects steps beyond it; none when None.
         relative_tolerance: Of the solver in the FMU; that of its default experiment when None.
@@ -104,8 +106,9 @@ def open(
         model = model.dae
     if copies is not None and (type(copies) is not int or copies < 1):
         raise UsageError.of_type("open: copies", copies, "a positive whole number")
-    times = {"start_time": start_time, "stop_time": stop_time}
-    facts: dict[str, Any] = {**times, "relative_tolerance": relative_tolerance}
+    names = "start_time", "stop_time", "relative_tolerance"
+    facts: dict[str, Any] = {name: keywords.get(name) for name in names}
+    start_time, stop_time, solver = facts["start_time"], facts["stop_time"], keywords.get("solver")
     if stop_time is None and start_time is not None:  # any span that follows
         facts["stop_time"] = number("open", "start_time", start_time) + 1.0
     if isinstance(model, os.PathLike) or (isinstance(model, str) and model.endswith(".fmu")):
