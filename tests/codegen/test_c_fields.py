@@ -19,6 +19,13 @@ def test_fields_are_those_of_the_header_in_their_order():
     assert dict(fields("master/fmu.h", "Functions"))["set_time"] is ctypes.c_void_p
 
 
+def test_fields_may_be_arrays(monkeypatch):
+    header = "typedef struct { double t, x[3]; const char *names[2]; } Row;"
+    monkeypatch.setattr("cosim.codegen.c_fields.source_text", lambda _: header)
+    expected = {"t": ctypes.c_double, "x": ctypes.c_double * 3, "names": ctypes.c_char_p * 2}
+    assert dict(fields("row.h", "Row")) == expected
+
+
 def test_structures_have_the_sizes_of_the_compiler():
     mirrored = (Functions, Recording, Run, PartOfC, SystemOfC)
     sizes = ", ".join(f"sizeof({mirror.__name__.removesuffix('OfC')})" for mirror in mirrored)

@@ -109,7 +109,7 @@ def write(
     rank: bool = False,
     most_steps: int = 1000,
 ) -> None:
-    """Write model.h, tables.h and equations.c for the solver of `integration_SOLVER.c`, and what that needs.
+    """Write the generated files for the solver of `integration_SOLVER.c`, and what that needs.
 
     With `rank`, constraints are watched that lose rank where x_1 = 0. With `valid`, the model tells
     whether it holds, and its margins are its last outputs.

@@ -10,7 +10,7 @@ from cosim.codegen.c_sources import source_text
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _FUNCTION = re.compile(r"\((\*\w+)\)\([^;]*\)")  # a pointer to one
 _DECLARATION = re.compile(r"(?:(?:const|volatile) )*(long long|\w+) ([^;]+);")
-_NAME = re.compile(r"(\**)(\w+)")
+_NAME = re.compile(r"(\**)(\w+)(?:\[(\d+)\])?")
 _TYPES = {"long long": ctypes.c_longlong, "double": ctypes.c_double, "char*": ctypes.c_char_p}
 
 
@@ -20,13 +20,15 @@ def fields(header: str, name: str, **types: Any) -> Sequence[tuple[str, Any]]:
     Args:
         header: File in the package's folder of C code, e.g. "master/run.h".
         name: Name of the structure.
-        types: Types of fields by name. By default, a pointer is an address, but to a text.
+        types: Types of fields, or of their items, by name. By default, a pointer is an address,
+            but to a text.
     """
     text = _COMMENT.sub("", source_text(header))
     body = text.partition(f"}} {name};")[0].rpartition("typedef struct {")[2]
     found = list[tuple[str, Any]]()
     for kind, names in _DECLARATION.findall(_FUNCTION.sub(r"\1", body)):
-        for star, field in _NAME.findall(names):
+        for star, field, size in _NAME.findall(names):
             own = _TYPES.get(kind + star, ctypes.c_void_p) if star else _TYPES[kind]
-            found.append((field, types.get(field, own)))
+            own = types.get(field, own)
+            found.append((field, own * int(size) if size else own))
     return found

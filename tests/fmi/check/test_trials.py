@@ -157,7 +157,7 @@ def test_sources_that_do_not_compile_or_lack_a_file_are_found(exported, tmp_path
     broken = {"sources/equations.c": b"int f(void) { return missing; }"}
     path = rewritten(exported(NAME), tmp_path / "broken.fmu", broken)
     (finding,) = try_apart(path, timeout=SHORT).findings
-    assert (finding.rule, finding.place) == ("sources", "sources/equations.c")
+    assert (finding.rule, finding.place) == ("sources", "sources/fmu.c")
     assert "missing" in finding.found
     empty = {"sources/equations.c": b""}
     path = rewritten(exported(NAME, 3), tmp_path / "empty.fmu", empty)
