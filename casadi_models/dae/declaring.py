@@ -17,14 +17,13 @@ _SPREAD = 1e12  # a positive parameter may differ from its default by this facto
 
 
 class Declaring:
-    """Variables by name; `Model` inherits it.
+    """Variables by name; the other parts of `Model` inherit it.
 
     Args:
         name, formulation, display: See `Model`.
     """
 
     def __init__(self, name: str, formulation: str, display: Mapping[str, str]) -> None:
-        super().__init__()
         for part in (name, formulation or name):
             if not is_name(part):
                 raise ValueError(f"{part!r} cannot name a model: use letters, digits and _")
@@ -37,6 +36,8 @@ class Declaring:
         self._symbols: dict[str, dict[str, SX]] = {kind: {} for kind in "xzup"}
         self._outputs: dict[str, SX] = {}
         self._monitors: dict[str, SX] = {}
+        self._derivatives: dict[str, SX] = {}
+        self.t = SX.sym("time")
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(own)} {kind}" for kind, own in self._groups() if own)

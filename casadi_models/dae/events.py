@@ -9,6 +9,7 @@ from weakref import WeakSet
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.expressions import COMPARING, RELATIONS, column, operations, quoted, symbols
 
 
@@ -64,15 +65,11 @@ def smooth(expression: Any) -> SX:
     raise ValueError(f"smooth: no model has declared all of {quoted(used.values())}; declare them")
 
 
-class Happening:
+class Happening(Declaring):
     """The part of `Model` that declares events; `Model` inherits it."""
 
-    t: SX
-    _symbols: dict[str, dict[str, SX]]
-    _derivatives: dict[str, SX]
-
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, *named: Any) -> None:
+        super().__init__(*named)
         self._events: list[Event] = []
         self._smooth: list[SX] = []
         _LIVING.add(self)
@@ -201,19 +198,3 @@ class Happening:
             raise self._refusal(f"'{name}' assigns nothing; give a state and its new value")
         places = tuple(map(order.index, states))
         self._events.append(Event(name, rule, places, column(rows), sampled, message))
-
-    def bound(self, parameter: SX, minimum: float, maximum: float) -> bool:
-        """See `Model`."""
-        raise NotImplementedError
-
-    def _names(self, states: SX) -> tuple[str, ...]:
-        raise NotImplementedError
-
-    def _column(self, what: str, expression: Any, rows: int | None = None) -> SX:
-        raise NotImplementedError
-
-    def _expression(self, what: str, expression: Any) -> SX:
-        raise NotImplementedError
-
-    def _refusal(self, reason: str) -> ValueError:
-        raise NotImplementedError

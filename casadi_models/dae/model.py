@@ -7,7 +7,6 @@ from typing import Any, Unpack
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.events import Happening
 from casadi_models.dae.expressions import (
     column,
@@ -23,7 +22,7 @@ from casadi_models.dae.starts import AT_A_START, Starting, reject_disorder
 from casadi_models.dae.variables import Experiment, Facts, ModeNames, Start, Variable
 
 
-class Model(Declaring, Starting, Happening, Scenery):
+class Model(Starting, Happening, Scenery):
     """Builder of a `Dae`: declare, relate, freeze.
 
     Every declaring call returns the bare CasADi symbol, so that equations read as in the book.
@@ -63,8 +62,6 @@ class Model(Declaring, Starting, Happening, Scenery):
         self._description, self._source = description, source
         with self._naming_the_model():
             self._experiment = Experiment(stop_time, output_interval, reference_tolerance)
-        self.t = SX.sym("time")
-        self._derivatives: dict[str, SX] = {}
         self._residuals: list[SX] = []
         self._inertias: list[tuple[str, SX]] = []
         self._limits: list[tuple[SX, str]] = []

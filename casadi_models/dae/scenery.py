@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.drawing import SIZES, WORLD, Arrow, Body, Drawing, Shape, Trace, World
 from casadi_models.dae.expressions import quoted, reject_faulty
 from casadi_models.units import convert
@@ -26,14 +27,15 @@ BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, GRAY, DARK = [
 ]  # Okabe and Ito's colors, which color-blind readers can tell apart, and two grays
 
 
-class Scenery:
+class Scenery(Declaring):
     """Bodies, shapes, arrows and traces; `Model` inherits it.
 
     Expressions may hold the symbols of the model's variables, or stand-ins for them that `named`
     returns before they are declared. They add nothing to equations, runs or FMUs.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *named: Any) -> None:
+        super().__init__(*named)
         self._stand_ins: dict[str, SX] = {}
         self._bodies: dict[str, Body] = {WORLD: Body(WORLD, SX.zeros(3), SX.eye(3))}
         self._shapes: list[Shape] = []
@@ -227,12 +229,6 @@ class Scenery:
         if not isinstance(color, str) or not _COLOR.fullmatch(color):
             raise self._refusal(f"'{name}' has color {color!r}; write it as '#rrggbb'")
         return color
-
-    def _display_of(self, unit: str) -> str:
-        raise NotImplementedError
-
-    def _refusal(self, reason: str) -> ValueError:
-        raise NotImplementedError
 
 
 def _dense(value: Any) -> SX:

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.expressions import is_structurally_regular, quoted, reject_faulty, symbols
 from casadi_models.dae.variables import Variable
 
@@ -47,15 +48,11 @@ class StartThrough:
     expression: SX
 
 
-class Starting:
+class Starting(Declaring):
     """The part of `Model` that says how starts follow; `Model` inherits it."""
 
-    _symbols: dict[str, dict[str, SX]]
-    _variables: dict[str, Variable]
-    _outputs: dict[str, SX]
-
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, *named: Any) -> None:
+        super().__init__(*named)
         self._rules: list[StartRule] = []
         self._through: dict[str, str] = {}  # state by output
 
@@ -107,15 +104,6 @@ class Starting:
             StartThrough(self._variables[output], order.index(state), self._outputs[output])
             for output, state in self._through.items()
         )
-
-    def _names(self, states: SX) -> tuple[str, ...]:
-        raise NotImplementedError
-
-    def _column(self, what: str, expression: Any, rows: int | None = None) -> SX:
-        raise NotImplementedError
-
-    def _refusal(self, reason: str) -> ValueError:
-        raise NotImplementedError
 
 
 def reject_disorder(rules: Sequence[StartRule], t: SX, x: SX, u: SX, p: SX) -> None:
