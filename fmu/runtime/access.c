@@ -58,7 +58,7 @@ static const char *role_name(Role role) {
 }
 
 /* Check that a list of value references can be read and is of this model. */
-bool known(Instance *self, const uint32_t references[], size_t count) {
+bool all_known(Instance *self, const uint32_t references[], size_t count) {
     if (count > 0 && !references) {
         refuse(self, ERROR, "%zu value references, but no list", count);
         return false;
@@ -81,7 +81,7 @@ static Status refuse_not_finite(Instance *self, size_t reference) {
 /* Values by reference; none is written unless all are defined and finite. */
 Status get_values(Instance *self, const uint32_t references[], size_t count, double values[]) {
     if (count == 0) return OK;
-    if (!known(self, references, count)) return ERROR;
+    if (!all_known(self, references, count)) return ERROR;
     if (!values) return refuse(self, ERROR, "there is no room for the values");
 
     unsigned needed = 0;
@@ -131,7 +131,7 @@ static bool changes_parameters(const Instance *self, const uint32_t references[]
 Status set_values(Instance *self, const uint32_t references[], size_t count,
                   const double values[]) {
     if (count == 0) return OK;
-    if (!known(self, references, count)) return ERROR;
+    if (!all_known(self, references, count)) return ERROR;
     if (!values) return refuse(self, ERROR, "there are no values");
     for (size_t i = 0; i < count; i++) {
         const Status status = check_setting(self, &variables[references[i]], values[i]);

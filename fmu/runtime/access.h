@@ -14,6 +14,6 @@ static Status get_indicators(Instance *self, double values[], size_t count);
 static Status get_nominals(Instance *self, double nominals[], size_t count);
 static Status set_states(Instance *self, const double x[], size_t count);
 static Status set_time(Instance *self, double time);
-static bool known(Instance *self, const uint32_t references[], size_t count);
+static bool all_known(Instance *self, const uint32_t references[], size_t count);
 
 #endif

@@ -21,8 +21,8 @@ void inputs_at(const Instance *self, double time, double u[]) {
     derivatives_at(self, 0, time, u);
 }
 
-void input_slopes_at(const Instance *self, double time, double du[]) {
-    derivatives_at(self, 1, time, du);
+void input_slopes_at(const void *instance, double time, double du[]) {
+    derivatives_at(instance, 1, time, du);
 }
 
 void move_inputs(Instance *self, double time) {

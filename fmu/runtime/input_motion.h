@@ -6,7 +6,7 @@
 
 /* Values, and first derivatives, at a time. */
 static void inputs_at(const Instance *self, double time, double u[]);
-static void input_slopes_at(const Instance *self, double time, double du[]);
+static void input_slopes_at(const void *instance, double time, double du[]);
 
 /* Bring values and derivatives to a time, which becomes that of the instance. */
 static void move_inputs(Instance *self, double time);

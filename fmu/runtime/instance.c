@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "equations.h"
+#include "input_motion.h"
 #include "logging.h"
 #include "memory.h"
 
@@ -105,6 +106,12 @@ Instance *create(const Host *host, const char *function, const char *name, const
     self->res = (double **)(self->arg + room.arg);
     self->name = memcpy(self->res + room.res, name, name_size);
     self->state.interface = interface;
+#if HAS_EVENTS
+    for (int i = 0; i < NX; i++) self->sizes[i] = variables[FIRST_STATE + i].nominal;
+    const double *p = self->state.values + FIRST_PARAMETER;
+    self->laws = (LawOwner){p,       self->sizes,     NULL, self->arg, self->res, self->iw,
+                            self->w, input_slopes_at, self};
+#endif
     reset(self);
     return self;
 }

@@ -96,12 +96,12 @@ static bool through_ends(Instance *self, const State *from, Cubic *cubic) {
 }
 
 /* When the cubic of a step that ends here leaves each limit first, up to a time. */
-static bool leaving_on_cubic(Instance *self, const State *from, double end, double leaves[]) {
+static bool leaving_on_cubic(Instance *self, const State *from, double end, double leaving[]) {
     Cubic cubic;
     if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    find_leaving(self, &(Motion){&cubic, on_cubic, NULL}, from->values[TIME], end, leaves);
+    find_leaving(self, &(Motion){&cubic, on_cubic, NULL}, from->values[TIME], end, leaving);
     return true;
 }
 
@@ -111,18 +111,18 @@ static const double NEAR = 8; /* share of a step beyond its end where its cubic 
    that ends where a cubic leaves a limit has a cubic that is exact there. */
 static void look_at_limits(Instance *self, const State *from) {
     const double begin = from->values[TIME], end = self->state.values[TIME];
-    double leaves[ROOM(N_LIMITS)], better[ROOM(N_LIMITS)];
-    if (N_LIMITS == 0 || !leaving_on_cubic(self, from, end, leaves)) return;
+    double leaving[ROOM(N_LIMITS)], better[ROOM(N_LIMITS)];
+    if (N_LIMITS == 0 || !leaving_on_cubic(self, from, end, leaving)) return;
     const State to = self->state;
     for (int i = 0; i < N_LIMITS; i++) {
-        if (!(leaves[i] > begin && leaves[i] < end)) continue;
-        const double beyond = fmin(leaves[i] + (end - begin) / NEAR, end);
+        if (!(leaving[i] > begin && leaving[i] < end)) continue;
+        const double beyond = fmin(leaving[i] + (end - begin) / NEAR, end);
         self->state = *from;
-        if (advance(self, leaves[i]) && leaving_on_cubic(self, from, beyond, better))
-            leaves[i] = better[i];
+        if (advance(self, leaving[i]) && leaving_on_cubic(self, from, beyond, better))
+            leaving[i] = better[i];
         self->state = to;
     }
-    note_leaving(self, end, leaves);
+    note_leaving(self, end, leaving);
 }
 
 #if HAS_EVENTS || !FIXED_STEPS

@@ -37,7 +37,8 @@ static void measure_margin(void *margin, const double times[], double margins[])
     }
 }
 
-void find_leaving(Instance *self, const Motion *motion, double begin, double end, double leaves[]) {
+void find_leaving(Instance *self, const Motion *motion, double begin, double end,
+                  double leaving[]) {
     Margin margin = {self, motion, 0};
     double times[LOOKS + 1] = {begin}, table[N_LIMITS][LOOKS + 1], every[N_LIMITS];
     places_within(begin, end, times + 1);
@@ -47,18 +48,18 @@ void find_leaving(Instance *self, const Motion *motion, double begin, double end
     }
     for (int i = 0; i < N_LIMITS; i++) {
         margin.limit = i;
-        leaves[i] = !(table[i][0] > 0)
-                        ? begin
-                        : first_outside(measure_margin, &margin, begin, end, table[i]);
-        if (self->state.outside >> i & 1 || leaves[i] == INFINITY) leaves[i] = DBL_MAX;
+        leaving[i] = !(table[i][0] > 0)
+                         ? begin
+                         : first_outside(measure_margin, &margin, begin, end, table[i]);
+        if (self->state.outside >> i & 1 || leaving[i] == INFINITY) leaving[i] = DBL_MAX;
     }
 }
 
-void note_leaving(Instance *self, double time, double leaves[]) {
+void note_leaving(Instance *self, double time, double leaving[]) {
     for (int i = 0; i < N_LIMITS; i++) {
-        if (leaves[i] > time) continue;
-        note_side(self, i, leaves[i], false);
-        leaves[i] = DBL_MAX;
+        if (leaving[i] > time) continue;
+        note_side(self, i, leaving[i], false);
+        leaving[i] = DBL_MAX;
     }
 }
 #endif

@@ -10,17 +10,17 @@ static bool pass_midway(Instance *self, double *end);
 #if N_LIMITS > 0
 /* When a motion first leaves each limit in a span; DBL_MAX: never, or it was outside before. */
 static void find_leaving(Instance *self, const Motion *motion, double begin, double end,
-                         double leaves[]);
+                         double leaving[]);
 
 /* Warn of those that have been left up to a time. */
-static void note_leaving(Instance *self, double time, double leaves[]);
+static void note_leaving(Instance *self, double time, double leaving[]);
 #else
 static inline void find_leaving(Instance *self, const Motion *motion, double begin, double end,
-                                double leaves[]) {
-    (void)self, (void)motion, (void)begin, (void)end, (void)leaves;
+                                double leaving[]) {
+    (void)self, (void)motion, (void)begin, (void)end, (void)leaving;
 }
-static inline void note_leaving(Instance *self, double time, double leaves[]) {
-    (void)self, (void)time, (void)leaves;
+static inline void note_leaving(Instance *self, double time, double leaving[]) {
+    (void)self, (void)time, (void)leaving;
 }
 #endif
 

@@ -15,98 +15,27 @@ Point present(Instance *self) {
                    values + FIRST_INPUT};
 }
 
-static void pass(Instance *self, const Point *at) {
-    self->arg[0] = &at->t;
-    self->arg[1] = at->x;
-    self->arg[2] = at->z;
-    self->arg[3] = at->u;
-    self->arg[4] = self->state.values + FIRST_PARAMETER;
-}
-
-static bool evaluated(Instance *self, Equation *equation, double *first, double *second,
-                      double *third, double *fourth) {
-    self->res[0] = first;
-    self->res[1] = second;
-    self->res[2] = third;
-    self->res[3] = fourth;
-    return !equation(self->arg, self->res, self->iw, self->w, 0);
-}
-
-/* The algebraic unknowns from their guess. */
-static bool solve_at(Instance *self, const Point *at) {
-    double z[ROOM(NZ)] = {0};
-    pass(self, at);
-    if (NZ == 0) return true;
-    if (!evaluated(self, model_algebraic, z, NULL, NULL, NULL)) return false;
-    for (int i = 0; i < NZ; i++)
-        if (!isfinite(z[i])) return false;
-    memcpy(at->z, z, NZ * sizeof *z);
-    return true;
-}
-
-static bool see(void *owner, const Point *at, Seen *seen) {
-    Instance *self = owner;
-    double slopes[ROOM(NU)] = {0};
-    if (!solve_at(self, at)) return false;
-    input_slopes_at(self, at->t, slopes);
-    self->arg[5] = slopes;
-    return evaluated(self, model_relations, seen->arguments, seen->rates, seen->seconds,
-                     seen->sizes);
-}
-
-static bool look_at_rules(void *owner, const Point *at, Decision *found) {
-    Instance *self = owner;
-    return solve_at(self, at) && evaluated(self, model_conditions, found->conditions, found->values,
-                                           found->defects, NULL);
-}
-
-static bool spread(void *owner, const Point *at, double moved[]) {
-    Instance *self = owner;
-    double sizes[ROOM(NX)];
-    for (int i = 0; i < NX; i++) sizes[i] = variables[FIRST_STATE + i].nominal;
-    pass(self, at);
-    self->arg[5] = sizes;
-    return evaluated(self, model_rounding, moved, NULL, NULL, NULL);
-}
-
-static bool evaluate_timed(void *owner, const Point *at, double t, double arguments[],
-                           double rates[]) {
-    Instance *self = owner;
-    pass(self, at);
-    self->arg[0] = &t;
-    return evaluated(self, model_timed, arguments, rates, NULL, NULL);
-}
-
-static bool bounds_of_time(void *owner, const Point *at, double t, double length, double low[],
-                           double high[]) {
+static const ModelLaws model_laws = {
+    .algebraic = model_algebraic,
+    .relations = model_relations,
+    .rounding = model_rounding,
+    .timed = model_timed,
+    .conditions = model_conditions,
 #if BOUNDED > 0
-    Instance *self = owner;
-    pass(self, at);
-    self->arg[0] = &t;
-    self->arg[5] = &length;
-    return evaluated(self, model_bounds, low, high, NULL, NULL);
-#else
-    (void)owner, (void)at, (void)t, (void)length, (void)low, (void)high;
-    return false;
+    .bounds = model_bounds,
 #endif
-}
+    .relation_table = relation_table,
+    .rules = rule_table,
+    .assigned = assigned_states,
+    .adds = adding,
+    .barriers = barring,
+    .bounded = bounded_ones,
+};
 
 Laws laws_of(Instance *self) {
-    return (Laws){
-        .owner = self,
-        .relations = relation_table,
-        .rules = rule_table,
-        .assigned = assigned_states,
-        .adds = adding,
-        .barriers = barring,
-        .bounded = bounded_ones,
-        .blind = self->state.interface == INTERFACE_ME,
-        .see = see,
-        .decide = look_at_rules,
-        .spread = spread,
-        .timed = evaluate_timed,
-        .bounds = bounds_of_time,
-    };
+    Laws laws = laws_of_model(&self->laws);
+    laws.blind = self->state.interface == INTERFACE_ME;
+    return laws;
 }
 
 /* Refuse what the kernel cannot go on from. */
@@ -178,7 +107,7 @@ bool is_sliding_now(const Instance *self) {
 Status look_now(Instance *self, Seen *seen) {
     const Point at = present(self);
     const Status status = follow_present(self);
-    if (status != OK || see(self, &at, seen)) return status;
+    if (status != OK || law_see(&self->laws, &at, seen)) return status;
     return refuse(self, DISCARD, "the relations cannot be computed at time %.17g", at.t);
 }
 

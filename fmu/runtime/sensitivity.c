@@ -56,7 +56,7 @@ static bool is_unknown(const VariableInfo *variable) {
 
 Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                    const uint32_t knowns[], size_t n_knowns) {
-    if (!known(self, unknowns, n_unknowns) || !known(self, knowns, n_knowns)) return ERROR;
+    if (!all_known(self, unknowns, n_unknowns) || !all_known(self, knowns, n_knowns)) return ERROR;
     for (size_t i = 0; i < n_unknowns; i++)
         if (!is_unknown(&variables[unknowns[i]]))
             return refuse(self, ERROR, "%s is not an unknown", variables[unknowns[i]].name);

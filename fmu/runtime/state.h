@@ -8,7 +8,7 @@
 
 #include "solver_memory.h"
 #if HAS_EVENTS
-#include "switching.h"
+#include "model_laws.h"
 #endif
 
 /* Numbered as in FMI 2 and FMI 3. */
@@ -128,6 +128,10 @@ struct Instance {
     double **res;
     long long *iw;
     double *w;
+#if HAS_EVENTS
+    LawOwner laws;
+    double sizes[ROOM(NX)]; /* of the states */
+#endif
 };
 
 #endif

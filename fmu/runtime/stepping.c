@@ -72,7 +72,7 @@ Status do_step(Instance *self, double from, double length) {
 Status set_motion(Instance *self, const uint32_t references[], size_t count, const int32_t orders[],
                   const double values[]) {
     if (count == 0) return OK;
-    if (!known(self, references, count)) return ERROR;
+    if (!all_known(self, references, count)) return ERROR;
     if (!orders) return refuse(self, ERROR, "the orders are missing");
     if (!values) return refuse(self, ERROR, "there are no values");
     for (size_t i = 0; i < count; i++) {

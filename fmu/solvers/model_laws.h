@@ -1,4 +1,4 @@
-/* The laws of a compiled model, for the kernel of events in a native run.
+/* The laws of a compiled model, for the kernel of events in a native run and in an FMU.
  *
  * Generated code provides the functions of relations and rules (see fmu/runtime/equations.h, with
  * constants c, of which the parameters are the first, for p), the tables of laws.h, and
@@ -9,8 +9,8 @@
 #define MODEL_LAWS_H
 
 #include "happen.h"
+#include "ode.h"
 #include "plan.h"
-#include "problem.h"
 
 /* Generated code fills it. */
 typedef struct {
@@ -34,6 +34,8 @@ typedef struct {
     double **res;
     long long *iw;
     double *w;
+    void (*move)(const void *owner, double t, double slopes[]); /* gives slopes; or NULL */
+    const void *owner;                                          /* of `move` */
 } LawOwner;
 
 static inline bool call_law(const LawOwner *self, Equations *function, const Point *at,
@@ -56,6 +58,10 @@ static inline bool call_law(const LawOwner *self, Equations *function, const Poi
 static inline bool law_inputs(const LawOwner *self, const Point *at, double u[], double slopes[]) {
     memcpy(u, at->u, NU * sizeof *u);
     memset(slopes, 0, NU * sizeof *slopes);
+    if (self->move) {
+        self->move(self->owner, at->t, slopes);
+        return true;
+    }
     if (self->slopes || !model_laws.inputs) {
         if (self->slopes) memcpy(slopes, self->slopes, NU * sizeof *slopes);
         return true;

@@ -9,6 +9,9 @@
 #error "define NX, the number of states, before solvers are included"
 #endif
 
+/* A function as CasADi writes it. */
+typedef int Equations(const double **arg, double **res, long long *iw, double *w, int mem);
+
 /* Gives dx/dt; returns 0 where it has a value. */
 typedef int Slope(void *context, double t, const double *x, double *dx);
 

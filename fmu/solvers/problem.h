@@ -13,8 +13,7 @@
 /* Codes 0 to 3 are those of CasADi's own integrators. */
 enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT };
 
-/* A function as CasADi writes it, and what it needs to work. */
-typedef int Equations(const double **arg, double **res, long long *iw, double *w, int mem);
+/* What such a function needs to work. */
 typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
 typedef struct {

@@ -113,7 +113,10 @@ class Part:
         return any(fnmatch(entry.name, pattern) for pattern in self.files)
 
 
-_KERNEL_OF_EVENTS = ("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "search.h")
+_KERNEL_OF_EVENTS = (
+    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "search.h"),
+    *("model_laws.h", "ode.h"),
+)
 
 # Every FMU contains the files of fmu/runtime that belong to no part.
 PARTS = (
