@@ -3,7 +3,7 @@
 Where an argument is linear in time, this follows at once. For others, a run is searched in spans
 that grow and shrink, like steps. By the bounds of its argument and of the two derivatives of that
 (`time_bounds`), a relation cannot leave its mode within a span, or does so exactly once; otherwise
-the span is halved. fmu/runtime/time_events.c does the same.
+the span is halved. fmu/solvers/hybrid/plan.h does the same.
 """
 
 from array import array

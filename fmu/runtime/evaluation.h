@@ -2,31 +2,234 @@
 #ifndef EVALUATION_H
 #define EVALUATION_H
 
+#include <math.h>
+#include <string.h>
+
+#include "equations.h"
 #include "integration.h"
-#include "state.h"
+#include "logging.h"
+#include "modes.h"
+#include "rank.h"
 #include "validity.h"
 
-static bool all_finite(const double values[], int count);
+#if HAS_RANK
+static const double LOW_RANK = 0.1; /* of the constraints, 1 at best: a likely cause of a failure */
+#endif
+static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
+
+static bool all_finite(const double values[], int count) {
+    for (int i = 0; i < count; i++)
+        if (!isfinite(values[i])) return false;
+    return true;
+}
+
+/* Names of the states with calculated start values, as far as they fit. */
+static void name_calculated(char text[], size_t size) {
+    size_t used = 0;
+    text[0] = '\0';
+    for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) {
+        if (variables[i].start_kind != CALCULATED) continue;
+        const char *parts[] = {used ? ", " : "", variables[i].name};
+        const size_t lengths[] = {strlen(parts[0]), strlen(parts[1])};
+        if (used + lengths[0] + lengths[1] >= size) return;
+        for (int k = 0; k < 2; used += lengths[k++]) memcpy(text + used, parts[k], lengths[k]);
+        text[used] = '\0';
+    }
+}
+
+/* Start values: the exact ones stay, the calculated ones follow from them, time, inputs and
+   parameters. */
+static Status settle_start(Instance *self) {
+    double *values = self->state.values;
+    double guess[ROOM(NX)], x[ROOM(NX)] = {0}, defect = 0;
+    for (int i = 0; i < NX; i++) {
+        const VariableInfo *state = &variables[FIRST_STATE + i];
+        guess[i] =
+            state->start_kind == CALCULATED ? self->state.guesses[i] : values[FIRST_STATE + i];
+    }
+    self->arg[0] = values + TIME;
+    self->arg[1] = guess;
+    self->arg[2] = values + FIRST_INPUT;
+    self->arg[3] = values + FIRST_PARAMETER;
+    self->res[0] = x;
+    self->res[1] = &defect;
+    const int failed = model_start(self->arg, self->res, self->iw, self->w, 0);
+    if (failed || !all_finite(x, NX) || !(defect <= LARGEST_DEFECT)) {
+        char names[300];
+        name_calculated(names, sizeof names);
+        return refuse(self, DISCARD, "the start values of %s cannot be calculated (defect %.3g)",
+                      names, defect);
+    }
+    memcpy(values + FIRST_STATE, x, NX * sizeof(double));
+    return start_modes(self);
+}
 
 /* Pass the common arguments of the equations, t, x, z, u, p: those of a point, or the present ones.
  */
 static void pass_point(Instance *self, const double *t, const double *x, const double *z,
-                       const double *u);
-static void pass_values(Instance *self);
+                       const double *u) {
+    self->arg[0] = t;
+    self->arg[1] = x;
+    self->arg[2] = z;
+    self->arg[3] = u;
+    self->arg[4] = self->state.values + FIRST_PARAMETER;
+}
+
+static void pass_values(Instance *self) {
+    const double *values = self->state.values;
+    pass_point(self, values + TIME, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
+               values + FIRST_INPUT);
+}
 
 /* Pass a point whose algebraic unknowns are solved for from their guess; false without a solution.
  */
 static bool solve_point(Instance *self, const double *t, const double x[], double z[],
-                        const double u[]);
+                        const double u[]) {
+    double solved[ROOM(NZ)] = {0};
+    pass_point(self, t, x, z, u);
+    if (NZ == 0) return true;
+    self->res[0] = solved;
+    if (model_algebraic(self->arg, self->res, self->iw, self->w, 0) || !all_finite(solved, NZ))
+        return false;
+    memcpy(z, solved, NZ * sizeof *z);
+    return true;
+}
+
+/* The margins alone, noted nowhere, where the arguments of the equations are passed; 0 is success.
+ */
+static int compute_margins(Instance *self, double margins[]) {
+    self->res[0] = NULL;
+    self->res[1] = margins;
+    return model_outputs(self->arg, self->res, self->iw, self->w, 0);
+}
 
 /* The margins of the limits at a time of a motion; false where they have no value. */
-static bool margins_on(Instance *self, const Motion *motion, double t, double margins[]);
+static bool margins_on(Instance *self, const Motion *motion, double t, double margins[]) {
+    double x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0}, u[ROOM(NU)] = {0};
+    motion->at(motion->solver, t, x, z, u);
+#if HAS_EVENTS
+    if (!follow_at(self, &(Point){t, x, z, u})) return false;
+#endif
+    return solve_point(self, &t, x, z, u) && !compute_margins(self, margins);
+}
 
-static Status refresh(Instance *self, unsigned results);
-static void note_limits(Instance *self);
-static Hint limit_hint(Instance *self);
-static void begin_watching(Instance *self);
-static Status look_back(Instance *self, Status status);
-static Status get_margins(Instance *self, double margins[]);
+/* What to add to a message of failure at the present values. */
+static Hint limit_hint(Instance *self) {
+#if HAS_RANK
+    pass_values(self);
+    if (rank_at(self, NULL) < LOW_RANK)
+        return (Hint){"; nearby, ", "the constraints lose rank, where branches of motion meet"};
+#endif
+    double margins[ROOM(N_LIMITS)] = {0};
+    for (int i = 0; i < N_LIMITS; i++) margins[i] = NAN;
+    pass_values(self);
+    if (N_LIMITS > 0) compute_margins(self, margins);
+    return nearest_limit(self, margins);
+}
+
+/* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
+static Status solve_algebraics(Instance *self) {
+    const Status status = follow_present(self);
+    if (status != OK) return status;
+    if (NZ == 0) return OK;
+    double z[ROOM(NZ)] = {0};
+    pass_values(self);
+    self->res[0] = z;
+    const int failed = model_algebraic(self->arg, self->res, self->iw, self->w, 0);
+    if (failed || !all_finite(z, NZ)) {
+        const Hint hint = limit_hint(self);
+        return refuse(self, DISCARD, "the algebraic equations have no solution at time %.17g%s%s",
+                      self->state.values[TIME], hint.joint, hint.limit);
+    }
+    memcpy(self->state.values + FIRST_ALGEBRAIC, z, NZ * sizeof(double));
+    return OK;
+}
+
+static Status compute(Instance *self, Equation *equation, double *results, const char *what) {
+    pass_values(self);
+    self->res[0] = results;
+    if (!equation(self->arg, self->res, self->iw, self->w, 0)) return OK;
+    const Hint hint = limit_hint(self);
+    return refuse(self, DISCARD, "the %s cannot be computed at time %.17g%s%s", what,
+                  self->state.values[TIME], hint.joint, hint.limit);
+}
+
+/* Outputs, and with them what the model says of its own validity. */
+static Status compute_outputs(Instance *self) {
+    double margins[ROOM(N_LIMITS)] = {0};
+    self->res[1] = margins;
+    const Status status =
+        compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
+    if (status != OK) return status;
+    note_margins(self, margins);
+    if (N_WATCHED == 0) return OK;
+    return get_insides(self, self->state.values + FIRST_OUTPUT + NY - N_WATCHED);
+}
+
+static Status compute_derivatives(Instance *self) {
+    const Status status =
+        compute(self, model_ode, self->state.values + FIRST_DERIVATIVE, "derivatives");
+    if (status == OK) note_rank(self);
+    return status;
+}
+
+static Status renew(Instance *self, unsigned result) {
+    switch (result) {
+    case START_VALUES: return settle_start(self);
+    case ALGEBRAICS: return solve_algebraics(self);
+    case DERIVATIVES: return compute_derivatives(self);
+    case OUTPUTS: return compute_outputs(self);
+    default:
+#if NO_DERIVATIVES
+        return OK;
+#else
+        self->res[1] = self->jacobian + NX * (NX + NU);
+        return compute(self, model_jacobian, self->jacobian, "Jacobian");
+#endif
+    }
+}
+
+/* Renew what is stale among `results` and among what they follow from. On failure, discard:
+   nothing is lost, and the importer may shorten its step. */
+static Status refresh(Instance *self, unsigned results) {
+    if (results & AFTER_START) results |= START_VALUES;
+    if (results & (DERIVATIVES | OUTPUTS | JACOBIAN)) results |= ALGEBRAICS;
+    for (unsigned result = START_VALUES; result <= JACOBIAN; result <<= 1) {
+        if (!(results & self->state.stale & result)) continue;
+        const Status status = renew(self, result);
+        if (status != OK) return status;
+        self->state.stale &= ~result;
+    }
+    return OK;
+}
+
+/* Check the validity conditions even if no output is read. */
+static void note_limits(Instance *self) {
+    if (N_LIMITS > 0) refresh(self, OUTPUTS);
+}
+
+/* Check the validity conditions, which an importer may have located, and start to detect singular
+   configurations, in models with a detector. */
+static void begin_watching(Instance *self) {
+    note_limits(self);
+    if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
+}
+
+/* Return `status` if the model has passed a singular configuration since the last check, or if
+   what slides is moved by an importer that does not tell how. */
+static Status look_back(Instance *self, Status status) {
+    const bool exchange = self->state.interface == INTERFACE_ME;
+    if (exchange && complete_step(self, status) != OK) return status;
+    return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
+}
+
+/* The margins of the limits at the present values, which need not be those of a solution. */
+static Status get_margins(Instance *self, double margins[]) {
+    const Status status = refresh(self, ALGEBRAICS);
+    pass_values(self);
+    if (status != OK || !compute_margins(self, margins)) return status;
+    return refuse(self, DISCARD, "the margins of the limits cannot be computed at time %.17g",
+                  self->state.values[TIME]);
+}
 
 #endif

@@ -2,12 +2,169 @@
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
-#include "state.h"
+#include <ctype.h>
+#include <math.h>
+#include <string.h>
 
+#include "equations.h"
+#include "input_motion.h"
+#include "logging.h"
+#include "memory.h"
+
+#define INSTANCE_MAGIC UINT64_C(0x636f73696d464d55)
+
+static WorkSize *const work_sizes[] = {
+    model_start_work,       model_algebraic_work,         model_ode_work,
+    model_outputs_work,
+#if !NO_DERIVATIVES
+    model_directional_work, model_start_directional_work, model_jacobian_work,
+#endif
+#if HAS_ADJOINT
+    model_adjoint_work,
+#endif
+#if !SOLVER_DOP853
+    model_step_work,
+#endif
+#if HAS_RANK
+    model_rank_work,        model_rank_rate_work,         model_project_work,
+#endif
+#if HAS_EVENTS
+    model_relations_work,   model_rounding_work,          model_timed_work,
+    model_conditions_work,
+#endif
+#if BOUNDED > 0
+    model_bounds_work,
+#endif
+};
+
+typedef struct {
+    size_t arg, res, iw, w;
+} Room;
+
+static size_t larger(size_t room, long long wanted) {
+    return wanted > 0 && (size_t)wanted > room ? (size_t)wanted : room;
+}
+
+/* Work space that is enough for each of the equations. */
+static Room work_room(void) {
+    Room room = {MOST_ARGUMENTS, MOST_RESULTS, 1, 1};
+    for (size_t i = 0; i < sizeof work_sizes / sizeof *work_sizes; i++) {
+        long long arg = 0, res = 0, iw = 0, w = 0;
+        work_sizes[i](&arg, &res, &iw, &w);
+        room.arg = larger(room.arg, arg);
+        room.res = larger(room.res, res);
+        room.iw = larger(room.iw, iw);
+        room.w = larger(room.w, w);
+    }
+    return room;
+}
+
+/* Put everything but logging back to where a new instance has it. */
+static void reset(Instance *self) {
+    const uint32_t interface = self->state.interface;
+    memset(&self->state, 0, sizeof self->state);
+    for (size_t i = 0; i < N_VARIABLES; i++) self->state.values[i] = variables[i].start;
+    for (int i = 0; i < NX; i++) self->state.guesses[i] = variables[FIRST_STATE + i].guess;
+    self->state.stop_time = INFINITY;
+    self->state.tolerance = DEFAULT_TOLERANCE;
+    self->state.interface = interface;
+    self->state.mode = INSTANTIATED;
+    self->state.stale = EVERYTHING;
+}
+
+static bool is_blank(const char *text) {
+    while (*text && isspace((unsigned char)*text)) text++;
+    return *text == '\0';
+}
+
+/* Return a new instance, or NULL after a log message. All memory is one block. */
 static Instance *create(const Host *host, const char *function, const char *name, const char *token,
-                        unsigned interface, bool logging);
-static void destroy(Instance *self);
-static void reset(Instance *self);
-static bool allowed(Instance *self, unsigned modes, const char *function);
+                        unsigned interface, bool logging) {
+    Instance draft = {.host = *host, .name = name ? name : "", .categories = UINT32_MAX};
+    draft.function = function;
+    if (interface != INTERFACE_ME && interface != INTERFACE_CS) {
+        log_text(&draft, ERROR, "the model offers model exchange and co-simulation only");
+        return NULL;
+    }
+    if (!name || is_blank(name)) {
+        log_text(&draft, ERROR, "an instance needs a name");
+        return NULL;
+    }
+    if (!token || strcmp(token, MODEL_GUID) != 0) {
+        log_text(
+            &draft, ERROR,
+            "the model description is not this binary's: its GUID is %.80s, the binary's is %s",
+            token ? token : "missing", MODEL_GUID);
+        return NULL;
+    }
+
+    const Room room = work_room();
+    const size_t name_size = strlen(name) + 1;
+    const size_t jacobian = (NX + NZ) * (NX + NU);
+    const size_t size = sizeof(Instance) + jacobian * sizeof(double) +
+                        room.arg * sizeof *draft.arg + room.res * sizeof *draft.res +
+                        room.iw * sizeof *draft.iw + room.w * sizeof *draft.w + name_size;
+    Instance *self = take_memory(size);
+    if (!self) {
+        log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
+        return NULL;
+    }
+    *self = draft;
+    self->magic = INSTANCE_MAGIC;
+    self->categories = logging ? UINT32_MAX : 0;
+    self->jacobian = (double *)(self + 1);
+    self->w = self->jacobian + jacobian;
+    void *behind = self->w + room.w;
+    self->iw = behind;
+    self->arg = (const double **)(self->iw + room.iw);
+    self->res = (double **)(self->arg + room.arg);
+    self->name = memcpy(self->res + room.res, name, name_size);
+    self->state.interface = interface;
+#if HAS_EVENTS
+    for (int i = 0; i < NX; i++) self->sizes[i] = variables[FIRST_STATE + i].nominal;
+    const double *p = self->state.values + FIRST_PARAMETER;
+    self->laws = (LawOwner){p,       self->sizes,     NULL, self->arg, self->res, self->iw,
+                            self->w, input_slopes_at, self};
+#endif
+    reset(self);
+    return self;
+}
+
+static void destroy(Instance *self) {
+    if (!self || self->magic != INSTANCE_MAGIC) return;
+    *(volatile uint64_t *)&self->magic = 0; /* compilers drop a plain write that is never read */
+    give_memory(self);
+}
+
+static const char *mode_name(uint32_t mode) {
+    switch (mode) {
+    case INSTANTIATED: return "after instantiation";
+    case INITIALIZATION_MODE: return "in initialization mode";
+    case EVENT_MODE: return "in event mode";
+    case CONTINUOUS_TIME_MODE: return "in continuous-time mode";
+    case STEP_MODE: return "between communication steps";
+    case STEP_FAILED: return "after a failed communication step";
+    case TERMINATED: return "after termination";
+    case INTERMEDIATE_UPDATE: return "in an intermediate update";
+    case INTERMEDIATE_INPUTS: return "in an intermediate update that asks for inputs";
+    default: return "after an error";
+    }
+}
+
+/* Guard of every FMI function: is it allowed in the present mode and for this interface? */
+static bool allowed(Instance *self, unsigned modes, const char *function) {
+    if (!self || self->magic != INSTANCE_MAGIC) return false;
+    self->function = function;
+    if (!(self->state.interface & modes)) {
+        refuse(self, ERROR, "not a function of %s",
+               self->state.interface == INTERFACE_ME ? "model exchange" : "co-simulation");
+        return false;
+    }
+    if (!(self->state.mode & modes)) {
+        refuse(self, ERROR, "not allowed %s", mode_name(self->state.mode));
+        return false;
+    }
+    return true;
+}
 
 #endif

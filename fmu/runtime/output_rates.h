@@ -1,10 +1,115 @@
-/* Time derivatives of outputs along the solution, up to order 3. */
+/* Time derivatives of outputs along the solution, up to order 3, with inputs that move as declared.
+
+   The first one is exact. The others are differences of fourth order of the first ones, at states a
+   small part of a step before and after the present one. */
 #ifndef OUTPUT_RATES_H
 #define OUTPUT_RATES_H
 
-#include "state.h"
+#include <string.h>
+
+#include "evaluation.h"
+#include "input_motion.h"
+#include "integration.h"
+#include "logging.h"
+#include "sensitivity.h"
+#include "stepping.h"
+
+#if NO_DERIVATIVES
+static Status get_rates(Instance *self, const uint32_t references[], size_t count,
+                        const int32_t orders[], double values[]) {
+    (void)references, (void)orders, (void)values;
+    return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
+}
+#else
+enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };
+
+static const double PART = 0.01; /* of a step, between two points */
+
+static Status check_orders(Instance *self, size_t count, const int32_t orders[], int *highest) {
+    if (!orders) return refuse(self, ERROR, "the orders are missing");
+    for (size_t i = 0; i < count; i++) {
+        if (orders[i] < 1 || orders[i] > MOST_ORDER)
+            return refuse(self, ERROR, "derivatives have orders 1 to %d, not %d", MOST_ORDER,
+                          (int)orders[i]);
+        if (orders[i] > *highest) *highest = orders[i];
+    }
+    return OK;
+}
+
+/* dx/dt at a state and a time after that of `from`, which the instance then has. */
+static Status slope_at(Instance *self, const State *from, double since, const double x[],
+                       double dx[]) {
+    self->state = *from;
+    move_inputs(self, from->values[TIME] + since);
+    memcpy(self->state.values + FIRST_STATE, x, NX * sizeof *x);
+    self->state.stale |= AFTER_START;
+    const Status status = refresh(self, DERIVATIVES);
+    memcpy(dx, self->state.values + FIRST_DERIVATIVE, NX * sizeof *dx);
+    return status;
+}
+
+/* Move the instance along the solution by the classical Runge-Kutta method. */
+static Status move_by(Instance *self, const State *from, double since) {
+    const double *begin = from->values + FIRST_STATE;
+    const double shares[] = {0, 0.5, 0.5, 1}, weights[] = {1, 2, 2, 1};
+    double x[ROOM(NX)], dx[ROOM(NX)] = {0}, sum[ROOM(NX)] = {0};
+    for (int stage = 0; stage < 4; stage++) {
+        for (int i = 0; i < NX; i++) x[i] = begin[i] + shares[stage] * since * dx[i];
+        const Status status = slope_at(self, from, shares[stage] * since, x, dx);
+        if (status != OK) return status;
+        for (int i = 0; i < NX; i++) sum[i] += weights[stage] * dx[i];
+    }
+    for (int i = 0; i < NX; i++) x[i] = begin[i] + since / 6 * sum[i];
+    return slope_at(self, from, since, x, dx);
+}
+
+static double difference(int order, double h, double rates[TIMES][N_VARIABLES], uint32_t k) {
+    const double near = rates[HERE + 1][k], far = rates[HERE + 2][k];
+    const double near_before = rates[HERE - 1][k], far_before = rates[HERE - 2][k];
+    if (order == 2) return (8 * (near - near_before) - (far - far_before)) / (12 * h);
+    return (16 * (near + near_before) - (far + far_before) - 30 * rates[HERE][k]) / (12 * h * h);
+}
+
+static Status higher_rates(Instance *self, const uint32_t references[], size_t count,
+                           const int32_t orders[], double values[]) {
+    double rates[TIMES][N_VARIABLES];
+    const double h = PART * typical_step(self);
+    const State from = self->state;
+    Status status = OK;
+    for (int k = 0; k < TIMES && status == OK; k++) {
+        status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
+        if (status == OK) status = all_rates(self, rates[k]);
+        self->state = from;
+    }
+    for (size_t i = 0; i < count && status == OK; i++)
+        if (orders[i] > 1) values[i] = difference(orders[i], h, rates, references[i]);
+    if (status == OK && !all_finite(values, (int)count))
+        return refuse(self, DISCARD, "a derivative is not finite");
+    return status;
+}
+
+static Status rates_at(Instance *self, const uint32_t references[], size_t count,
+                       const int32_t orders[], int highest, double values[]) {
+    const Status status = time_derivatives(self, references, count, values);
+    if (status != OK || highest < 2) return status;
+    return higher_rates(self, references, count, orders, values);
+}
 
 static Status get_rates(Instance *self, const uint32_t references[], size_t count,
-                        const int32_t orders[], double values[]);
+                        const int32_t orders[], double values[]) {
+    int highest = 0;
+    if (count == 0) return OK;
+    if (check_orders(self, count, orders, &highest) != OK) return ERROR;
+    if (!self->host.ask_inputs) return rates_at(self, references, count, orders, highest, values);
+    /* who is asked for inputs declares none of their rates: those of the last step, which what
+       waits or slides still needs, are not those that come */
+    double motion[MOST_INPUT_ORDER][ROOM(NU)];
+    memcpy(motion, self->state.motion, sizeof motion);
+    forget_motion(self);
+    const Status status = rates_at(self, references, count, orders, highest, values);
+    memcpy(self->state.motion, motion, sizeof motion);
+    return status;
+}
+#endif
 
 #endif

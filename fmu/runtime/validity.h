@@ -2,17 +2,59 @@
 #ifndef VALIDITY_H
 #define VALIDITY_H
 
-#include "state.h"
+#include <math.h>
+
+#include "logging.h"
 
 /* What a message of failure goes on with: a joint and the limit, or two empty texts. */
 typedef struct {
     const char *joint, *limit;
 } Hint;
 
-/* Note on which side of a limit the instance is at a time, or of all limits by their margins. */
-static void note_side(Instance *self, int i, double time, bool inside);
-static void note_margins(Instance *self, const double margins[]);
+_Static_assert(N_LIMITS <= 32, "a bit for each limit");
 
-static Hint nearest_limit(const Instance *self, const double margins[]);
+/* Warn once for each crossing of a limit; the run goes on. In model exchange a limit that has been
+   left is not watched any more, as margins beyond it may have poles; `valid` needs both directions.
+ */
+static void note_side(Instance *self, int i, double time, bool inside) {
+    const uint32_t bit = UINT32_C(1) << i;
+    uint32_t *outside = &self->state.outside;
+    if (!inside && !(*outside & bit))
+        log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
+    if (!inside)
+        *outside |= bit;
+    else if (HAS_VALID || self->state.interface == INTERFACE_CS)
+        *outside &= ~bit;
+}
+
+/* What is not a number is outside. */
+static void note_margins(Instance *self, const double margins[]) {
+    State *state = &self->state;
+    for (int i = 0; i < N_LIMITS; i++) {
+        note_side(self, i, state->values[TIME], margins[i] > 0);
+        if (isfinite(margins[i])) state->widest[i] = fmax(state->widest[i], margins[i]);
+    }
+}
+
+/* The limit that a failure is likely to have to do with: one that is left, or the one whose margin
+   has shrunk most. Margins have units of their own; each is measured by its widest so far. */
+static Hint nearest_limit(const Instance *self, const double margins[]) {
+    int nearest = -1;
+    double least = INFINITY;
+    for (int i = 0; i < N_LIMITS; i++) {
+        const double widest = self->state.widest[i];
+        const double share = widest > 0 ? margins[i] / widest : margins[i];
+        if (!(share < least)) continue; /* nor where it is not a number */
+        least = share;
+        nearest = i;
+    }
+    if (nearest < 0) {
+        for (int i = 0; i < N_LIMITS; i++)
+            if (self->state.outside >> i & 1) return (Hint){"; invalid before: ", violations[i]};
+        return (Hint){"", ""};
+    }
+    return least > 0 ? (Hint){"; the nearest limit: ", limits[nearest]}
+                     : (Hint){"; invalid: ", violations[nearest]};
+}
 
 #endif

@@ -20,10 +20,10 @@ BEFORE_A_STEP = "    drop_spent_motion(self);\n    const State before"
 def misbehaving(target: Path, behavior: str) -> Path:
     """Write an FMU that does something else, C statements, before each step of co-simulation."""
     files = source_files(decay(), FmuOptions(identifier=target.stem))
-    code = files["sources/stepping.c"].decode()
+    code = files["sources/stepping.h"].decode()
     assert BEFORE_A_STEP in code
     code = code.replace(BEFORE_A_STEP, f"{behavior}{BEFORE_A_STEP}")
-    files["sources/stepping.c"] = f"#include <stdio.h>\n#include <stdlib.h>\n{code}".encode()
+    files["sources/stepping.h"] = f"#include <stdio.h>\n#include <stdlib.h>\n{code}".encode()
     sources = {Path(name).name: c for name, c in files.items() if name.startswith("sources/")}
     content = files | binaries(sources, target.stem, targets(["native"], 2))
     target.write_bytes(zipped(content))

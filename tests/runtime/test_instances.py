@@ -138,7 +138,7 @@ def test_unknown_categories_are_an_error_and_change_nothing(me):
 def test_the_categories_have_the_names_of_the_standard():
     from helpers.harness import RUNTIME
 
-    text = (RUNTIME / "logging.c").read_text()
+    text = (RUNTIME / "logging.h").read_text()
     assert all(f'"{category}"' in text for category in CATEGORIES)
 
 

@@ -5,7 +5,7 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const unpacked = async (text) =>
   new Response(new Blob([bytes(text)]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
 
-/* What is wrong, without the time; see fmu/runtime/validity.c. */
+/* What is wrong, without the time; see fmu/runtime/validity.h. */
 const violation = (line) => line.replace(/^invalid from \S+ s: /, "");
 
 const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
