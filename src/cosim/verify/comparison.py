@@ -20,7 +20,7 @@ from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 
 _ONE_INSTANT = 1e-6  # distance of a row from an event at its time, of the span
-_OF_A_RUN = 100.0  # largest usual error of a run, in tolerances of its steps
+_LARGEST_ERROR = 100.0  # that runs usually have, in tolerances of their steps
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ def _sizes(first: Trajectory, second: Trajectory) -> Vector:
     largest = np.maximum(*(np.nan_to_num(np.abs(r.values)).max(axis=0) for r in (first, second)))
     relative, zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair
     # what the other states make of a state that is 0 by symmetry is no smaller than their errors
-    zero = max(zero, _OF_A_RUN * relative * largest[states].max(initial=0.0))
+    zero = max(zero, _LARGEST_ERROR * relative * largest[states].max(initial=0.0))
     return np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
 
 
