@@ -1,7 +1,6 @@
 /* FMI 2.0: the functions of co-simulation. Steps are computed while the importer waits. */
 #include "events.h"
-#include "fmi2_modes.h"
-#include "fmi2_status.h"
+#include "fmi2.h"
 #include "output_rates.h"
 #include "stepping.h"
 

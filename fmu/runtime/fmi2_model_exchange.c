@@ -3,8 +3,7 @@
 #include "access.h"
 #include "evaluation.h"
 #include "events.h"
-#include "fmi2_modes.h"
-#include "fmi2_status.h"
+#include "fmi2.h"
 
 /* -- modes ------------------------------------------------------------------------------------ */
 

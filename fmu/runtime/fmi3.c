@@ -1,7 +1,6 @@
 /* FMI 3.0: the functions common to model exchange and co-simulation. */
 #include "access.h"
-#include "fmi3_modes.h"
-#include "fmi3_status.h"
+#include "fmi3.h"
 #include "initialization.h"
 #include "sensitivity.h"
 #include "snapshot.h"

@@ -1,7 +1,6 @@
 /* FMI 3.0: the functions of what these models do not have - variables of other types, clocks,
    structural parameters, model partitions. Without a variable asked, they do nothing. */
-#include "fmi3_modes.h"
-#include "fmi3_status.h"
+#include "fmi3.h"
 
 static fmi3Status absent(Instance *self, unsigned modes, const char *function, size_t asked) {
     if (!allowed(self, modes, function)) return fmi3Error;

@@ -2,8 +2,7 @@
 #include <string.h>
 
 #include "evaluation.h"
-#include "fmi3_modes.h"
-#include "fmi3_status.h"
+#include "fmi3.h"
 #include "sensitivity.h"
 
 #if NO_DERIVATIVES

@@ -1,7 +1,6 @@
 /* FMI 3.0: the functions of co-simulation. */
 #include "events.h"
-#include "fmi3_modes.h"
-#include "fmi3_status.h"
+#include "fmi3.h"
 #include "output_rates.h"
 #include "stepping.h"
 

@@ -3,8 +3,7 @@
 #include "access.h"
 #include "evaluation.h"
 #include "events.h"
-#include "fmi3_modes.h"
-#include "fmi3_status.h"
+#include "fmi3.h"
 
 /* -- modes ------------------------------------------------------------------------------------ */
 

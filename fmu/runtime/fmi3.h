@@ -1,10 +1,36 @@
+/* FMI 3.0 for its functions: the status of a call, and in which states each function is allowed. */
+#ifndef FMI3_H
+#define FMI3_H
+
+#include "model.h"
+
+/* In a program that links several FMUs each function has the model's name before it; a shared
+   library is compiled with FMI3_OVERRIDE_FUNCTION_PREFIX. */
+#ifndef FMI3_FUNCTION_PREFIX
+#define FMI3_FUNCTION_PREFIX MODEL_PREFIX
+#endif
+
+#include "fmi3Functions.h"
+#include "instance.h"
+#include "logging.h"
+
+_Static_assert((int)OK == (int)fmi3OK && (int)WARNING == (int)fmi3Warning &&
+                   (int)DISCARD == (int)fmi3Discard && (int)ERROR == (int)fmi3Error,
+               "the numbers are the same");
+
+static inline fmi3Status fmi3_status(Status status) {
+    return (fmi3Status)status;
+}
+
+/* All variables are scalars: FMI 3 counts their values besides. */
+static inline bool one_each(Instance *self, size_t values, size_t variables_asked) {
+    if (values == variables_asked) return true;
+    refuse(self, ERROR, "%zu values for %zu scalar variables", values, variables_asked);
+    return false;
+}
+
 /* In which states of the FMI 3.0.2 state machines each function is allowed: the lists of allowed
    function calls in 2.3 (common states), 3.2 (continuous-time mode) and 4.2 (step mode). */
-#ifndef FMI3_MODES_H
-#define FMI3_MODES_H
-
-#include "state.h"
-
 enum {
     /* lists that hold for several functions */
     INITIALIZED = EVENT_MODE | CONTINUOUS_TIME_MODE | STEP_MODE,
