@@ -1,6 +1,6 @@
 /* FMI 2.0: the functions common to model exchange and co-simulation. */
-#include "access.h"
 #include "fmi2.h"
+#include "access.h"
 #include "initialization.h"
 #include "sensitivity.h"
 #include "snapshot.h"

@@ -53,7 +53,7 @@ static Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknow
     self->res[3] = result + TIME;
     status = run(self, model_adjoint);
     for (int i = FIRST_STATE; i < FIRST_DERIVATIVE; i++) result[i] += weight[i];
-    if (status == OK && starting(self)) status = collect_from_starts(self, result);
+    if (status == OK && is_starting(self)) status = collect_from_starts(self, result);
     return status == OK ? gather(self, knowns, n_knowns, result, sensitivity) : status;
 }
 #endif

@@ -107,7 +107,7 @@ static double shortest_step(double t, double length) {
 }
 
 /* Start from the instance's own state. */
-static bool begin(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
+static bool begin_motion(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
     const double *values = fmu->state.values;
     memory->until = values[TIME];
 #if HAS_EVENTS
@@ -191,7 +191,8 @@ static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory,
 #endif
 
 /* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */
-static bool step(const Ode *ode, Problem *self, SolverMemory *memory, double end, double ahead) {
+static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, double end,
+                      double ahead) {
     Slopes k;
     double x[NX];
     const double began = self->fmu->state.values[TIME];
@@ -295,7 +296,7 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
     memcpy(memory->inputs, fmu->state.values + FIRST_INPUT, NU * sizeof *memory->inputs);
     memory->next = 0;
-    return begin(ode, fmu, memory, ahead) ? HAPPENED : FAILED;
+    return begin_motion(ode, fmu, memory, ahead) ? HAPPENED : FAILED;
 }
 #endif
 
@@ -308,7 +309,8 @@ double typical_step(Instance *self) {
     Problem problem = {.fmu = self, .tolerance = TIGHTEST};
     const Ode ode = {problem_slope, problem_scale, &problem};
     memcpy(problem.z, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
-    if (memory.next > 0 || begin(&ode, self, &memory, self->state.stop_time)) return memory.next;
+    if (memory.next > 0 || begin_motion(&ode, self, &memory, self->state.stop_time))
+        return memory.next;
     return LARGEST_STEP;
 }
 
@@ -334,7 +336,7 @@ bool integrate_to(Instance *self, double end) {
     };
     const Ode ode = {problem_slope, problem_scale, &problem};
     memcpy(problem.z, state->values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
-    if (!goes_on && !begin(&ode, self, memory, ahead)) {
+    if (!goes_on && !begin_motion(&ode, self, memory, ahead)) {
         memset(memory, 0, sizeof *memory);
         return false;
     }
@@ -353,7 +355,7 @@ bool integrate_to(Instance *self, double end) {
         until = fmin(fmax(ahead, end), next_event(self));
 #endif
         if (memory->until >= end) break;
-        if (!step(&ode, &problem, memory, end, until) ||
+        if (!take_step(&ode, &problem, memory, end, until) ||
             (memory->until < end && !show(&problem, memory, &end))) {
             move_to(&problem, memory, memory->until);
             return false;

@@ -33,13 +33,13 @@ static Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t
     return no_derivatives(self);
 }
 #else
-static bool starting(const Instance *self) {
+static bool is_starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
 
 static bool is_known(const Instance *self, const VariableInfo *variable) {
     switch (variable->role) {
-    case STATE: return variable->start_kind != CALCULATED || !starting(self);
+    case STATE: return variable->start_kind != CALCULATED || !is_starting(self);
     case TIME:
     case INPUT:
     case PARAMETER: return true;
@@ -130,7 +130,7 @@ static Status push_forward(Instance *self, double seed[]) {
    by column. */
 static bool in_jacobian(const Instance *self, const uint32_t unknowns[], size_t n_unknowns,
                         const uint32_t knowns[], size_t n_knowns) {
-    if (starting(self) || n_knowns != 1) return false;
+    if (is_starting(self) || n_knowns != 1) return false;
     const Role known_role = variables[knowns[0]].role;
     if (known_role != STATE && known_role != INPUT) return false;
     for (size_t i = 0; i < n_unknowns; i++) {
@@ -171,7 +171,7 @@ static Status directional(Instance *self, const uint32_t unknowns[], size_t n_un
         return column_of_jacobian(self, unknowns, n_unknowns, knowns[0], seed[0], sensitivity);
     double along[N_VARIABLES] = {0};
     for (size_t i = 0; i < n_knowns; i++) along[knowns[i]] += seed[i];
-    if (starting(self)) status = spread_to_starts(self, along);
+    if (is_starting(self)) status = spread_to_starts(self, along);
     if (status == OK) status = push_forward(self, along);
     return status == OK ? gather(self, unknowns, n_unknowns, along, sensitivity) : status;
 }

@@ -18,13 +18,13 @@ _Static_assert(N_LIMITS <= 32, "a bit for each limit");
  */
 static void note_side(Instance *self, int i, double time, bool inside) {
     const uint32_t bit = UINT32_C(1) << i;
-    uint32_t *outside = &self->state.outside;
-    if (!inside && !(*outside & bit))
+    uint32_t *left = &self->state.outside;
+    if (!inside && !(*left & bit))
         log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
     if (!inside)
-        *outside |= bit;
+        *left |= bit;
     else if (HAS_VALID || self->state.interface == INTERFACE_CS)
-        *outside &= ~bit;
+        *left &= ~bit;
 }
 
 /* What is not a number is outside. */

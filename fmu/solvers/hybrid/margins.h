@@ -38,17 +38,17 @@ static inline double closer_look(Measure *measure, void *motion, double begin, d
     double t[LOOKS + 1], m[LOOKS];
     bool found = false;
     for (int n = 0; n < MOST_CLOSER_LOOKS; ++n) {
-        int least = 0, outside = 0;
+        int least = 0, first = 0;
         t[0] = begin;
         places_within(begin, end, t + 1);
         measure(motion, t + 1, m);
-        while (outside < LOOKS && m[outside] > 0) ++outside;
+        while (first < LOOKS && m[first] > 0) ++first;
         for (int k = 1; k < LOOKS - 1; ++k)
             if (m[k] < m[least]) least = k;
-        if (outside == LOOKS && !(m[least] < NEARLY_SHALLOW * fmax(m[0], m[LOOKS - 1]))) break;
-        found = outside < LOOKS;
-        begin = t[found ? outside : least];
-        end = t[found ? outside + 1 : least + 2];
+        if (first == LOOKS && !(m[least] < NEARLY_SHALLOW * fmax(m[0], m[LOOKS - 1]))) break;
+        found = first < LOOKS;
+        begin = t[found ? first : least];
+        end = t[found ? first + 1 : least + 2];
         if (end - begin <= 2 * DBL_EPSILON * fabs(end)) break;
     }
     return found ? end : INFINITY;
