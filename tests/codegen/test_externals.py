@@ -24,11 +24,11 @@ int bare(const double **arg, double **res, long long *iw, double *w, int mem) {
 """
 
 
-def law() -> ca.Function:
+def law(name: str = "law") -> ca.Function:
     """Return a function of two arguments and two results with its derivatives."""
     x, p = SX.sym("x", 2), SX.sym("p")
     results = [ca.vertcat(-p * x[0], p * x[0] * ca.sin(x[0])), p * x]
-    return ca.Function("law", [p, x], results, ["p", "x"], ["rate", "power"])
+    return ca.Function(name, [p, x], results, ["p", "x"], ["rate", "power"])
 
 
 def compiled(source: Path) -> Path:
@@ -37,10 +37,15 @@ def compiled(source: Path) -> Path:
 
 @pytest.fixture
 def generated(tmp_path) -> Path:
-    generator = ca.CodeGenerator("law", {"with_header": False})
-    for function in (law(), law().forward(1), law().jacobian()):
-        generator.add(function)
-    source = tmp_path / "law.c"
+    return written(tmp_path, law())
+
+
+def written(folder: Path, function: ca.Function) -> Path:
+    """Write the C code of a function with its derivatives, and compile it."""
+    generator = ca.CodeGenerator(function.name(), {"with_header": False})
+    for own in (function, function.forward(1), function.jacobian()):
+        generator.add(own)
+    source = folder / f"{function.name()}.c"
     source.write_text(generator.dump())
     compiled(source)
     return source
@@ -86,6 +91,14 @@ def test_library_is_right_in_machine_code_and_fmus(generated, how, tmp_path):
     assert "sources/external_law.c" in zipfile.ZipFile(path).namelist()
     for interface in ("ModelExchange", "CoSimulation"):
         judge(cosim.simulate_fmu(path, interface=interface, **END))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["reset", "advance"])  # functions of the runtime, too
+def test_library_may_have_the_name_of_a_function_of_the_runtime(name, tmp_path):
+    library = written(tmp_path, law(name)).with_name(f"lib{name}{SUFFIX}")
+    path = cosim.export_fmu(model(ca.external(name, str(library))), tmp_path / "m.fmu")
+    judge(cosim.simulate_fmu(path, **END))
 
 
 @pytest.mark.slow

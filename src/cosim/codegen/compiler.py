@@ -264,6 +264,19 @@ def reject_unlinked(code: str, beside: Mapping[str, str]) -> None:
             raise UsageError(f"generated code calls '{name}', whose C code is missing")
 
 
+def renamed_externals(code: str, beside: Mapping[str, str]) -> tuple[str, dict[str, str]]:
+    """Return generated code and the C code of its external functions, none of them named as ours.
+
+    In one unit with other code, a user's function called "reset" would be two.
+    """
+    names = "|".join(name for name in _CALLED.findall(code) if beside)
+    if not names:
+        return code, dict(beside)
+    every = re.compile(rf"\b(?:{names})(?:_\w+)?\b")
+    texts = (every.sub(r"external_\g<0>", text) for text in (code, *beside.values()))
+    return next(texts), dict(zip(beside, texts, strict=True))
+
+
 @contextmanager
 def compiling() -> Iterator[None]:
     """Show progress while code is generated and compiled, and measure the time.

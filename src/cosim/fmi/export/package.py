@@ -11,7 +11,7 @@ from typing import Unpack
 
 from casadi_models.dae import Dae
 from cosim.codegen.c_sources import cache_folder, license_texts
-from cosim.codegen.compiler import reject_unlinked
+from cosim.codegen.compiler import reject_unlinked, renamed_externals
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import ExportError, UsageError
 from cosim.files import reject_unwritable, write_atomically
@@ -123,8 +123,9 @@ def _model_code(plan: Plan) -> dict[str, bytes]:
     """Return the C files of the model and of its solver, by name."""
     equations = equations_c(plan)
     reject_unlinked(equations, plan.embedded)
+    equations, embedded = renamed_externals(equations, plan.embedded)
     own = {"fmu.c": whole_unit(plan), "tables.h": variable_table(plan), "equations.c": equations}
-    own |= plan.embedded
+    own |= embedded
     code = {name: text.encode() for name, text in own.items()} | plan.headers
     if plan.dop853:
         code["dop853_coefficients.h"] = dop853_coefficients().encode()
