@@ -66,9 +66,10 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
         return Motion(dae, grid, states, guesses, u, Counts()), []
     found = integrate(problem, solver, start)
     if found.reason and (name := _rate_without_value(dae, float(grid[0]), start)):
-        found.reason = (
-            f"the derivative of {name} is not a number at the start; start elsewhere, or write "
-            "casadi.if_else where its equation divides by 0 or leaves the range of a function"
+        found.reason = Ending(
+            f"the derivative of {name} is not a number at the start",
+            remedy="start elsewhere, or write casadi.if_else where its equation divides by 0 or "
+            "leaves the range of a function",
         )
     invalid = list[Breach]()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
