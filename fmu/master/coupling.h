@@ -73,6 +73,12 @@ static inline int end_here(Coupling *self) {
     return ENDED_BY_FMU;
 }
 
+/* What has been no longer tells what will be. */
+static inline void forget_past(Coupling *self) {
+    self->known = 0;
+    self->rateless = 1;
+}
+
 /* All that happens at the present point, in event mode of the parts that have one, until no input
  * changes by it. */
 static inline int let_happen(Coupling *self) {
@@ -94,7 +100,7 @@ static inline int let_happen(Coupling *self) {
     for (long long p = 0; p < system->n_parts; ++p)
         if (system->parts[p].event_mode && part_enter_step_mode(&self->fmu, system->parts + p))
             return give_up(self, p), CALL_FAILED;
-    self->known = 0;
+    forget_past(self);
     return settle(self, &self->now);
 }
 
@@ -138,7 +144,8 @@ static inline int arrive(Coupling *self) {
     copy(self, &self->past[0], &self->now);
     if (self->known < PAST) ++self->known;
     copy(self, &self->now, &self->next);
-    if (self->switched) self->known = 0;
+    self->rateless = 0;
+    if (self->switched) forget_past(self);
     system->time = self->now.t;
     for (; is_before(system, system->rows, self->now.t); ++system->rows) { /* within the step */
         const int how = check_row(self, system->rows);
@@ -206,7 +213,8 @@ static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
     const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
-    const double first = FIRST * system->refinement * span;
+    double first = FIRST * system->refinement * span;
+    if (!self->all_roll_back) first = fmin(first, sqrt(system->tolerance) * FIRST * span);
     const double longest = LONGEST * system->refinement * span;
     double h = first;
     Attempts window = {0};
@@ -294,7 +302,7 @@ static inline int run_fixed(Coupling *self) {
         if (jumps) system->mismatch = fmax(system->mismatch, jump_of(self));
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
-        if (jumps) self->known = 0;
+        if (jumps) forget_past(self);
         if (self->now.t == end) ++n;
     }
     return DONE;
@@ -374,6 +382,7 @@ static inline int run_from_start(Coupling *self) {
     int in_event_mode = 0; /* after the initialization */
     for (long long p = 0; p < system->n_parts; ++p)
         in_event_mode |= system->parts[p].event_mode != 0;
+    self->rateless = 1;
     const int how = in_event_mode ? let_happen(self) : settle(self, &self->now);
     if (how != DONE) return how;
     const int recorded = record_next(self);

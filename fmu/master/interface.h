@@ -31,7 +31,7 @@ typedef struct {
     long long points;
     double start, stop;
     double macro_step; /* 0: chosen by the error */
-    double tolerance;  /* of the inputs, in their scales */
+    double tolerance;  /* of the inputs, in their scales; with given steps, what parts round */
     double quantum;    /* macro steps are multiples of it; 0: any */
     double refinement; /* the longest and the first macro steps, of the usual ones */
     long long method;
@@ -71,8 +71,9 @@ typedef struct {
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
-    int agreed_at;                   /* the pass in which the last step's interface agreed */
-    double mismatch;                 /* of outputs and inputs, at output times within the step */
+    int rateless;    /* whether rates that follow from values are not known at the present point */
+    int agreed_at;   /* the pass in which the last step's interface agreed */
+    double mismatch; /* of outputs and inputs, at output times within the step */
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best;
     FixedPoint iteration;
     Crew crew; /* of `Stepper`s; none if its count is 0 */
@@ -203,16 +204,17 @@ static inline int settle_values(Coupling *self, double *u) {
     return LOOP_UNSOLVED;
 }
 
-/* Derivative at the newest point of the polynomial through it and those of the past. */
+/* Derivative at a point of the polynomial through it, the present point and those of the past. */
 static inline double rate_of_values(const Coupling *self, const Interface *at, long long k) {
-    const long long n = self->known;
+    const Interface *points[PAST] = {&self->now};
+    long long n = at == &self->now ? 0 : 1;
+    for (long long i = 0; i < self->known && n < PAST; ++i) points[n++] = &self->past[i];
     double sum = 0;
-    for (long long i = 0; i < n; ++i) { /* of the Lagrange polynomial of each past point */
-        const double since = at->t - self->past[i].t;
-        double weight = 1 / since;
+    for (long long i = 0; i < n; ++i) { /* of the Lagrange polynomial of each other point */
+        double weight = 1 / (at->t - points[i]->t);
         for (long long j = 0; j < n; ++j)
-            if (j != i) weight *= (at->t - self->past[j].t) / (self->past[i].t - self->past[j].t);
-        sum += weight * (at->u[k] - self->past[i].u[k]);
+            if (j != i) weight *= (at->t - points[j]->t) / (points[i]->t - points[j]->t);
+        sum += weight * (at->u[k] - points[i]->u[k]);
     }
     return sum;
 }
@@ -238,6 +240,7 @@ static inline int settle_rates(Coupling *self, Interface *at) {
         if (isfinite(at->r[k])) continue;
         at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
         memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);
+        if (self->rateless && at != &self->now) self->now.r[k] = at->r[k];
     }
     return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
 }

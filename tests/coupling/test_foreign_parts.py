@@ -172,12 +172,13 @@ def test_abilities_that_are_switched_off_are_not_used(tmp_path):
     full = two_lags(motor, load).simulate(macro_step=0.01)
     assert full.stats["order"] == {"motor": "linear inputs", "load": "linear inputs"}
     text = "no rates, no interpolation, no rollback, no directional derivatives, no event mode"
-    run = two_lags(motor, load, abilities={"motor": text}).simulate(macro_step=0.01)
+    run = two_lags(motor, load, abilities={"motor": text}).simulate(macro_step=0.005)
     assert run.stats["order"]["motor"] == (
         "constant inputs, output derivatives from values, one step without repetition: it cannot "
         "restore its state"
     )
-    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-4)
+    exact = (1 + math.exp(-2)) / 2  # the rates of the load are differences, half a step late
+    assert run.final["motor.y"] == pytest.approx(exact, abs=1e-4)  # measured 4.5e-5
     toml = tmp_path / "pair.toml"
     toml.write_text(
         f"[parts]\nmotor = '{motor}'\nload = '{load}'\n[connections]\n'load.u' = 'motor.y'\n"
