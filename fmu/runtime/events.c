@@ -194,13 +194,32 @@ static bool undo_instant(Instance *self) {
     return true;
 }
 
+/* Leave what is due at the begin of a step to the importer, unless it changes nothing. */
+static bool leave_change_to_importer(Instance *self) {
+    if (!self->host.event_mode || !self->host.may_return_early) return false;
+    const State before = self->state;
+    Outcome outcome;
+    self->state.before.known = -1; /* tells nothing */
+    const Status status = handle_instant(self, -1, &outcome);
+    const State *after = &self->state;
+    const bool changes =
+        status == OK &&
+        (outcome.states_changed || memcmp(before.values + FIRST_MODE, after->values + FIRST_MODE,
+                                          MODES * sizeof *before.values) != 0);
+    self->state = before;
+    if (changes) self->state.switching.waits = 1;
+    return changes;
+}
+
 bool start_over(Instance *self) {
     Outcome outcome = {.ends = run_stopped(self)};
     const bool again = !outcome.ends && undo_instant(self);
     self->state.before.known = again ? -1 : 0;
     if (outcome.ends) return false;
-    const bool due = again || next_event(self) == NOT_PLANNED || event_waits(self) || any_due(self);
-    if (due && handle_instant(self, take_waiting(self), &outcome) != OK) return false;
+    const bool waits = event_waits(self), due = again || waits || next_event(self) == NOT_PLANNED;
+    const bool beyond = !due && any_due(self);
+    if (beyond && leave_change_to_importer(self)) return true;
+    if ((due || beyond) && handle_instant(self, take_waiting(self), &outcome) != OK) return false;
     self->state.before.known = 0;
     return !outcome.ends && refresh(self, ALGEBRAICS) == OK;
 }

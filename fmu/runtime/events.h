@@ -29,7 +29,8 @@ static bool run_stopped(const Instance *self);
 static void remember_instant(Instance *self);
 
 /* What inputs and parameters that have just been set make happen before a step of co-simulation, or
-   an event that the importer has not handled; false where it fails or ends the run. */
+   an event that the importer has not handled; it waits for an importer that handles events. False
+   where it fails or ends the run. */
 static bool start_over(Instance *self);
 
 /* Samples that have not happened yet: before a parameter is set, and after it. */

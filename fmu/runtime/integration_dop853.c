@@ -327,6 +327,7 @@ bool integrate_to(Instance *self, double end) {
     const bool goes_on = !first && resting && same && memory->rested > 0;
 #if HAS_EVENTS
     if (!goes_on && !start_over(self)) return false;
+    if (event_waits(self)) return true;
 #endif
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     Problem problem = {

@@ -176,6 +176,7 @@ bool integrate_to(Instance *self, double end) {
     double length = fmin(end - *time, LARGEST_STEP);
     int relation = -1;
     if (!start_over(self) || refresh(self, ALGEBRAICS) != OK) return false;
+    if (event_waits(self)) return true;
     for (int n = 0; n < MOST_TRIALS && *time + length > *time; n++) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
