@@ -31,20 +31,29 @@ class SpringWithGap:
         """Return the coupled parts, with 200 output intervals."""
         settings = {"stop_time": stop, "output_interval": stop / 200}
         first, second = cosim.Model("first", **settings), cosim.Model("second", **settings)
-        x, v = first.state("x", "m", self.x0, "place"), first.state("v", "m/s", 0.0, "speed")
+        k, d = (
+            first.parameter("k", "N/m", 1.0, "spring"),
+            first.parameter("d", "N.s/m", 1.0, "damper"),
+        )
+        x, v = first.state("x", "m", -1.0, "place"), first.state("v", "m/s", 0.0, "speed")
         f = first.input("f", "N", 0.0, "force")
         first.derivative(x, v)
-        first.derivative(v, f - self.k * x - self.d * v)
+        first.derivative(v, f - k * x - d * v)
         y, w = second.state("y", "m", 0.0, "place"), second.state("w", "m/s", 0.0, "speed")
         u = second.input("u", "m", 0.0, "place of the other")
-        force = self.stiff * ca.fmax(u - y - self.gap, 0)
+        stiff = second.parameter("stiff", "N/m", 100.0, "spring between")
+        gap = second.parameter("gap", "m", 0.0, "its gap")
+        force = stiff * ca.fmax(u - y - gap, 0)
         if self.play:
-            force -= self.stiff * ca.fmax(y - u - self.gap, 0)
+            force -= stiff * ca.fmax(y - u - gap, 0)
         second.derivative(y, w)
         second.derivative(w, force - 30 * y - w)
         second.output("back", "N", -force, "force on the other")
         parts = {"first": first.freeze(), "second": second.freeze()}
-        return cosim.couple(parts, {"first.f": "second.back", "second.u": "first.x"})
+        values = {"first.k": self.k, "first.d": self.d, "first.x": self.x0}
+        values |= {"second.stiff": self.stiff, "second.gap": self.gap}
+        wires = {"first.f": "second.back", "second.u": "first.x"}
+        return cosim.couple(parts, wires, start_values=values)  # all share compiled code
 
     def solution(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Return the states at times, s, by pieces that end where the spring touches or is left."""

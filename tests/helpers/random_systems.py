@@ -61,7 +61,7 @@ class RandomSystem:
 
         run = solve_ivp(
             lambda t, x: evaluated(t, x, 0), (0, times[-1]), self._starts,
-            "Radau" if self._fast > 20 else "DOP853", t_eval=times, rtol=1e-11, atol=1e-13,
+            "DOP853", t_eval=times, rtol=3e-14, atol=1e-15,
         )  # fmt: skip
         rows = [
             np.concatenate((x, evaluated(t, x, 1))) for t, x in zip(times, run.y.T, strict=True)
