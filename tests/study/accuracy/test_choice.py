@@ -85,12 +85,12 @@ def test_accuracy_is_reached_far_from_the_measured_values(dae, accuracy):
 
 @pytest.mark.quick_rows("dae-1e-06", "dae-1e-09")
 @pytest.mark.parametrize("accuracy", ACCURACIES)
-def test_estimate_is_the_error_of_the_configuration_that_was_chosen(dae, accuracy):
+def test_estimate_bounds_the_error_of_the_configuration_that_was_chosen(dae, accuracy):
     run = simulate(dae, start_values=OTHER, accuracy=accuracy, outputs=["x"])
     again = simulate(dae, start_values=OTHER, outputs=["x"], **chosen(run))
-    assert error(again) <= accuracy
-    # as far as the run that checks it is right: measured 0.003
-    assert run.stats["error_estimate"] == pytest.approx(error(again), abs=0.03 * accuracy)
+    assert error(again) <= run.stats["error_estimate"] <= accuracy
+    # what the run that checks it is wrong by is in the estimate: measured 1.003 to 1.83
+    assert run.stats["error_estimate"] < 2 * error(again)
     assert run.stats["error_estimate_of"] == "x"
 
 

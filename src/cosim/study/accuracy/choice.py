@@ -72,10 +72,19 @@ class Pair:
         return min(self.second, self.first, key=lambda done: done.candidate.error)
 
     @property
+    def error(self) -> float:
+        """The error of the first run: the difference, and what the second one is wrong by.
+
+        Their errors have the ratio of the predicted ones.
+        """
+        first, second, apart = self.first.candidate, self.second.candidate, self.worst.scaled
+        return apart * (1 + second.error / first.error) if first.error else apart
+
+    @property
     def check(self) -> ErrorCheck:
         """The error of the first run, estimated by the second."""
-        worst, first, second = self.worst, self.first.candidate, self.second.candidate
-        return ErrorCheck(str(first), first.error, str(second), worst.scaled, worst.name)
+        first, second = self.first.candidate, self.second.candidate
+        return ErrorCheck(str(first), first.error, str(second), self.error, self.worst.name)
 
 
 @dataclass(frozen=True)
@@ -221,9 +230,9 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
             target = min(accuracy / CHECK, candidate.error)
             continue
         pair = Pair(*runs[-2:])
-        if pair.worst.scaled <= accuracy:
+        if pair.error <= accuracy:
             return _with_check(pair.better.run, goal, chooser.check(pair))
-        target = min(target, candidate.error) * min(0.1, accuracy / pair.worst.scaled)
+        target = min(target, candidate.error) * min(0.1, accuracy / pair.error)
     if len(runs) < 2:
         what = runs[0].candidate if runs else "accuracy"
         raise SolverError(
