@@ -220,7 +220,7 @@ class CoSimulation:
                 if tolerance <= _TIGHTEST:
                     break
             last, jumps_before, ratio = run, jumps, max(tighter, _TIGHTEST / tolerance)
-            tolerance *= ratio
+            tolerance = max(tolerance * tighter, _TIGHTEST)
         raise SolverError(
             f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: the last two "
             f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
