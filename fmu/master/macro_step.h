@@ -114,7 +114,7 @@ static inline long long pieces_of(const Coupling *self, const Part *part, double
     const System *system = self->system;
     double change = 0;
     if (part->own_step > 0) return llround(length / part->own_step);
-    if (part->order || system->method < EXTRAPOLATED || system->tolerance <= 0) return 1;
+    if (part->order || system->method < EXTRAPOLATED || system->macro_step > 0) return 1;
     for (long long i = part->first_input; i < part->first_input + part->inputs; ++i) {
         double a[4], b[4];
         cubic_at(&self->now, &self->next, i, since, a);
@@ -433,6 +433,13 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         const int recording = records && (agreed || final || pass >= self->agreed_at);
         self->mismatch = 0;
         const int how = step_parts(self, pass, recording);
+        if (how == NOT_STEPPED && isfinite(best) && !final && !may_be_shortened(self) &&
+            is_discarded(&self->fmu)) {
+            memcpy(w, self->best, (size_t)n * sizeof *w); /* the last one led astray */
+            from_vector(self, w, &self->next);
+            final = 1;
+            continue;
+        }
         if (how != STEPPED) return after_failed_step(self, how);
         const int settled = settled_next(self);
         if (settled != ACCEPTED) return settled;
@@ -466,7 +473,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         self->reason = may_be_shortened(self) ? STEP_VANISHED : UNSETTLED;
         return REJECTED;
     }
-    system->unsettled += !agreed && !may_be_shortened(self);
+    system->unsettled += !agreed && !may_be_shortened(self) && best > system->tolerance;
     const double h = self->next.t - self->now.t;
     const double before = self->known ? self->now.t - self->past[0].t : h;
     *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;

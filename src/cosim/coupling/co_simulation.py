@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
-from cosim.coupling.estimate import estimated_error
+from cosim.coupling.estimate import OF_A_RUN, estimated_error
 from cosim.coupling.failures import Wiring, failure
 from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
@@ -172,7 +172,8 @@ class CoSimulation:
         with noted_calls(list(self.parts)) as called:
             task = _Task(settings, values, self._columns(outputs), called)
             if settings.macro_step is not None:
-                run, _ = self._once(task, 0.0, settings.tolerance or _TOLERANCE)
+                of_parts = settings.tolerance or _TOLERANCE
+                run, _ = self._once(task, OF_A_RUN * of_parts, of_parts)
             else:
                 run = self._accurate(task)
         return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
@@ -407,11 +408,11 @@ class CoSimulation:
 
     def _notes(self, system: SystemOfC, settings: Settings) -> list[str]:
         notes = []
-        if system.unsettled:
+        if system.unsettled or (settings.macro_step and system.mismatch >= 1):
+            every = f"{system.unsettled} of {system.macro_steps} macro steps did not settle: "
             notes.append(
-                f"{system.unsettled} of {system.macro_steps} macro steps did not settle: inputs "
-                f"and outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
-                "macro_step, or accuracy"
+                f"{every if system.unsettled else ''}inputs and outputs differ by up to "
+                f"{system.mismatch:.1g} of their size; give a shorter macro_step, or accuracy"
             )
         fixed = [n for n, part in self.parts.items() if not part.rolls_back]
         if fixed and settings.macro_step is None:

@@ -2,7 +2,7 @@
 
 _FALLS = 0.75  # power of the tolerance with which the error falls; less is on the safe side
 _UNKNOWN = 0.5  # how much of the error is left if no order is known
-_OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
+OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
 
 
 def estimated_error(
@@ -22,4 +22,4 @@ def estimated_error(
     if change > accuracy:  # the order counts if it has been observed
         observed = min(change / before, _UNKNOWN) if before else _UNKNOWN
         left = max(left, observed)
-    return change * left / (1 - left) + _OF_A_RUN * of_parts
+    return change * left / (1 - left) + OF_A_RUN * of_parts
