@@ -1,5 +1,7 @@
 """Events of coupled parts happen at the same time in all parts, against the one model."""
 
+from random import Random
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -313,6 +315,29 @@ def test_a_relay_in_another_part_switches_once_per_instant():
         assert run.stats["all_macro_steps"] < 600  # measured 178, 502
 
 
+@pytest.mark.parametrize("seed", [47, 104])
+def test_a_relay_that_is_just_beyond_its_threshold_as_a_step_begins_switches_there(seed):
+    """A relation that a settled input moves past its mode is an event of all parts, too."""
+    numbers = Random(seed)
+    heat, loss, rate, high, low = map(numbers.uniform, (1, 0.2, 2, 1.0, 0.5), (4, 1, 8, 1.4, 0.9))
+    room, switch = cosim.Model("room", stop_time=3.0), cosim.Model("relay", stop_time=3.0)
+    t, r = (room.state(name, "1", 0.0, name) for name in ("T", "R"))
+    q = room.input("q", "1", 0.0, "power")
+    room.derivative(t, heat * q - loss * t)
+    room.derivative(r, rate * (t - r))
+    m, on = switch.input("m", "1", 0.0, "measured"), switch.discrete("on", "1", 1.0, "state")
+    switch.when(m > high, {on: 0}, name="off")
+    switch.when(m < low, {on: 1}, name="on")
+    parts = {"p": room.freeze(), "r": switch.freeze()}
+    system = cosim.couple(parts, {"p.q": "r.on", "r.m": "p.R"})
+    tight = {"solver": "dop853", "relative_tolerance": 1e-12}
+    exact = cosim.simulate(system.dae, output_interval=0.015, **tight)
+    run = system.simulate(stop_time=3.0, output_interval=0.015, accuracy=1e-8)
+    times = [[event.time for event in one.events] for one in (run, exact)]
+    assert times[0] == pytest.approx(times[1], abs=1e-10)  # 24 for 3 before
+    np.testing.assert_allclose(run["p.T"], exact["p.T"], rtol=0, atol=1e-10)  # 2e-8 before
+
+
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
 def test_a_one_sided_spring_across_parts_is_as_accurate_as_asked(accuracy):
     """x'' = -4 x - 0.3 x' - F; y'' = F - 30 y - y', F = 50 max(x - y - 0.2, 0) in the other."""
@@ -373,22 +398,53 @@ def test_request_and_acknowledgement_at_one_instant_count_once(settings):
         assert final == [0, 0, 1, 1]
 
 
-def test_friction_across_parts_names_the_one_model_as_the_remedy():
-    """w1' = (5 - T)/0.2, w2' = T/0.5, T = 30 sign(w1 - w2) in another part: together at 20/37 s."""
-    wheels, clutch = cosim.Model("wheels", stop_time=1.0), cosim.Model("clutch", stop_time=1.0)
-    fast, slow = (wheels.state(n, "1", start, n) for n, start in (("w1", 100.0), ("w2", 0.0)))
-    torque = wheels.input("T", "1", 0.0, "torque")
-    wheels.derivative(fast, (5 - torque) / 0.2)
-    wheels.derivative(slow, torque / 0.5)
-    u, w = (clutch.input(name, "1", start, name) for name, start in (("u", 100.0), ("w", 0.0)))
-    clutch.output("T", "1", 30 * ca.sign(u - w), "torque")
-    parts = {"a": wheels.freeze(), "b": clutch.freeze()}
-    system = cosim.couple(parts, {"a.T": "b.T", "b.u": "a.w1", "b.w": "a.w2"})
-    with pytest.raises(SolverError, match=r"slide on each other, .* as one model, system\.dae"):
-        system.simulate(stop_time=1.0)
-    one = cosim.simulate(system.dae, stop_time=1.0)
-    together = 60 * 20 / 37 + 5 / 0.7 * (1 - 20 / 37)  # 32.43, then 7.142857 rad/s2
-    assert [one.final["a.w1"], one.final["a.w2"]] == pytest.approx([together] * 2, abs=1e-6)
+def wheel(name, inertia, drive, start):
+    """A wheel: inertia w' = drive + T."""
+    model = cosim.Model(name, stop_time=1.0)
+    w, torque = model.state("w", "rad/s", start, "speed"), model.input("T", "N.m", 0.0, "torque")
+    model.derivative(w, (drive + torque) / inertia)
+    return model.freeze()
+
+
+def clutch():
+    """Dry friction of 30 N.m between two wheels."""
+    model = cosim.Model("clutch", stop_time=1.0)
+    u, v = (model.input(n, "rad/s", start, "speed") for n, start in (("u", 100.0), ("v", 0.0)))
+    model.output("T", "N.m", 30 * ca.sign(u - v), "torque on the slow wheel")
+    model.output("R", "N.m", -30 * ca.sign(u - v), "torque on the fast wheel")
+    return model.freeze()
+
+
+def sliding_wheels():
+    parts = {"a": wheel("fast", 0.2, 5.0, 100.0), "c": clutch(), "b": wheel("slow", 0.5, 0.0, 0.0)}
+    return parts, {"a.T": "c.R", "b.T": "c.T", "c.u": "a.w", "c.v": "b.w"}
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
+def test_parts_that_hold_the_sides_of_a_relation_slide_together(settings):
+    """The wheels turn together from 20/37 s, at 60 * 20/37 = 32.43 rad/s, then 5/0.7 rad/s2."""
+    parts, wires = sliding_wheels()
+    parts["far"] = wheel("far", 1.0, 0.0, 0.0)  # feels them, but is not felt
+    system = cosim.couple(parts, {**wires, "far.T": "c.T"})
+    run = system.simulate(stop_time=1.0, output_interval=0.01, **settings)
+    since = np.maximum(run.time - 20 / 37, 0)
+    together = 60 * 20 / 37 + 5 / 0.7 * since
+    for name, before in (("a.w", 100 - 125 * run.time), ("b.w", 60 * run.time)):
+        right = np.where(since > 0, together, before)
+        np.testing.assert_allclose(run[name], right, rtol=0, atol=1e-9)  # measured 5e-14
+    assert run.final["c.T"] == pytest.approx(0.5 * 5 / 0.7)
+    assert [event.time for event in run.events] == pytest.approx([20 / 37], abs=1e-12)
+    assert "a and c and b slide on each other" in run.stats["note"]
+    again = system.simulate(stop_time=1.0, output_interval=0.01, **settings)
+    np.testing.assert_array_equal(again.values, run.values)
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
+def test_sliding_on_a_part_of_unknown_equations_names_it(settings, tmp_path):
+    parts, wires = sliding_wheels()
+    parts["b"] = str(cosim.export_fmu(parts["b"], tmp_path / "slow.fmu"))
+    with pytest.raises(SolverError, match=r"slide .*couple them as models: .* of b are not known"):
+        cosim.couple(parts, wires).simulate(stop_time=1.0, output_interval=0.01, **settings)
 
 
 def test_the_interface_error_of_given_steps_tells_of_jumps_of_held_inputs(tmp_path):

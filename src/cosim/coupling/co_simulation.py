@@ -17,7 +17,7 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
 from cosim.coupling.estimate import OF_A_RUN, estimated_error
-from cosim.coupling.failures import Wiring, failure
+from cosim.coupling.failures import EndlessEvents, Wiring, as_models, endless_part, failure
 from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
 from cosim.errors import Interrupted, SolverError, UsageError
@@ -95,7 +95,7 @@ class CoSimulation:
         files: FMUs by part.
         wires: What drives what.
         unused: Abilities of parts that are not used, by part.
-        is_model: Whether the system exists as one model, too.
+        unknown: Parts whose equations are not known.
 
     Raises:
         FmuError: A file cannot be loaded.
@@ -107,8 +107,7 @@ class CoSimulation:
         files: Mapping[str, Path],
         wires: Sequence[Connection],
         unused: Mapping[str, Sequence[Ability]],
-        *,
-        is_model: bool = False,
+        unknown: Sequence[str] = (),
     ) -> None:
         self.name = name
         self._open, self._turns = ExitStack(), list(files)
@@ -125,7 +124,7 @@ class CoSimulation:
             sources += [(part, variable.name) for variable in opened.outputs]
             inputs += [(part, variable.name) for variable in opened.inputs]
         wires, self._inputs = [driven[one] for one in inputs], inputs
-        self._wiring = Wiring(self.parts, self._inputs, [w.output for w in wires], is_model)
+        self._wiring = Wiring(self.parts, self._inputs, [w.output for w in wires], unknown)
         self._source = np.array([sources.index(wire.output) for wire in wires], dtype=np.int64)
         self._factor = np.array([wire.factor for wire in wires])
         self._offset = np.array([wire.offset for wire in wires])
@@ -191,7 +190,7 @@ class CoSimulation:
             try:
                 run, jumps = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
             except SolverError as error:
-                if last is None:
+                if last is None or isinstance(error, EndlessEvents):
                     raise
                 reason = str(error).removeprefix(f"{self.name}: ")
                 raise SolverError(
@@ -368,14 +367,25 @@ class CoSimulation:
             events=self._events(),
         )
         recorded = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
-        if notes := [*self._notes(system, settings), *filter(None, [rounding(recorded, run)])]:
+        notes = [*self._notes(system, settings), *filter(None, [rounding(recorded, run)])]
+        if notes:
             stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
             run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
+        why = ""
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
             why = failure(system, self._wiring, columns, tables, grid)
-            raise SolverError(f"{self.name}: {why}", partial=replace(run, status=f"stopped: {why}"))
+            run = replace(run, status=f"stopped: {why}")
+        part = endless_part(system, self._wiring, why) if why or settings.macro_step else None
+        if part:
+            if not why:
+                remedy = as_models(self._wiring)
+                notes += [f"an event of part '{part}' repeats itself at one instant{remedy}"]
+                run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
+            raise EndlessEvents(f"{self.name}: {why}", run, part)
+        if why:
+            raise SolverError(f"{self.name}: {why}", partial=run)
         return run
 
     def _events(self) -> tuple[Event, ...]:

@@ -10,8 +10,8 @@ from typing import Any
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection
 from cosim.coupling.opened_part import unused_abilities
-from cosim.coupling.part import Part, part_of, split_name
-from cosim.coupling.system import System, connection_of, values_of
+from cosim.coupling.part import Part, connection_of, part_of, split_name
+from cosim.coupling.system import System, values_of
 from cosim.errors import UsageError
 from cosim.model.values import number
 

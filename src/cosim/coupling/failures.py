@@ -9,11 +9,25 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.coupling.opened_part import OpenedPart
-from cosim.errors import FmuError
+from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 
 _ZENO = "(Zeno)"  # in messages of FMUs made here
-_STATUSES = {2: "discard", 3: "error", 4: "fatal"}
+_AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
+_DISCARD = 2
+_STATUSES = {_DISCARD: "discard", 3: "error", 4: "fatal"}
+
+
+class EndlessEvents(SolverError):
+    """Events of coupled parts that follow each other without end.
+
+    Attributes:
+        part: The one that has the last event.
+    """
+
+    def __init__(self, message: str, partial: Any, part: str) -> None:
+        super().__init__(message, partial)
+        self.part = part
 
 
 class CoupledEnding(IntEnum):
@@ -32,13 +46,13 @@ class Wiring:
         parts: By name.
         inputs: Part and variable of each input.
         sources: Part and variable of the output that drives each of them.
-        is_model: Whether the system exists as one model, too.
+        unknown: Parts whose equations are not known.
     """
 
     parts: Mapping[str, OpenedPart]
     inputs: Sequence[tuple[str, str]]
     sources: Sequence[tuple[str, str]]
-    is_model: bool = False
+    unknown: Sequence[str] = ()
 
 
 def failure(
@@ -61,14 +75,11 @@ def failure(
     has_input = 0 <= system.input < len(wiring.inputs)
     entry = ".".join(wiring.inputs[system.input]) if has_input else ""
     part, output = wiring.sources[system.input] if has_input else ("", "")
-    shorter = "; give a shorter macro_step" if system.macro_step else ""
+    shorter = "; give a shorter macro_step, or accuracy" if system.macro_step else ""
     if how == CoupledEnding.LOOP_UNSOLVED:
         return f"the loop of direct feedthrough through {entry} has no solution at {time}"
     if how == CoupledEnding.UNSETTLED:
-        return (
-            f"the iteration of the input {entry} diverges after {time}; give a shorter macro_step, "
-            "or accuracy"
-        )
+        return f"the iteration of the input {entry} diverges after {time}{shorter}"
     if how == CoupledEnding.NOISY:
         return (
             f"part '{list(wiring.parts)[system.part]}' returns outputs with a noise of about "
@@ -85,9 +96,15 @@ def failure(
         )
     if how == Ending.STUCK:
         reason = f"events of the parts at {time} cause each other without end"
-        return f"{reason}{_as_one_model(wiring)}"
+        return f"{reason}{as_models(wiring)}"
     if how == Ending.STEP_VANISHED:
         reason = f": the input {entry} does not settle" if has_input else ""
+        if has_input and (inside := wiring.parts[part].internal_step):
+            reason = (
+                f": the output {output} of part '{part}' changes by leaps only, each {inside:g} s, "
+                "as its solver has steps of this length; allow a larger error, or leave accuracy "
+                "out"
+            )
         return f"the macro steps become too short at {time}{reason}"
     if how == Ending.CALL_FAILED and system.function and 0 <= system.part < len(wiring.parts):
         name = list(wiring.parts)[system.part]
@@ -95,13 +112,41 @@ def failure(
         function = wiring.parts[name].calls.functions.named(system.function)
         call = f"{function} returned {system.status} ({status})"
         why = str(wiring.parts[name].explained(FmuError(call)))
-        remedy = _as_one_model(wiring) if _ZENO in why else ""
+        discards = system.status == _DISCARD and shorter
+        remedy = as_models(wiring) if _ZENO in why else shorter if discards else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"
     return f"it failed at {time}"
 
 
-def _as_one_model(wiring: Wiring) -> str:
+def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
+    """Return the part whose events follow each other without end, as where parts slide.
+
+    Args:
+        system: The `System` of the C code, with its answers.
+        wiring: What is connected.
+        why: Why the run failed; empty if it did not.
+    """
+    if system.part >= 0 and (system.how == Ending.STUCK or _ZENO in why):
+        return str(list(wiring.parts)[system.part])
+    vanished = system.how == Ending.STEP_VANISHED
+    for name, part in wiring.parts.items():
+        found = dict[str, list[float]]()
+        for time, event in part.instance.logged_events if part.event_mode else ():
+            found.setdefault(event, []).append(time)
+        for times in found.values():
+            thrice = zip(times, times[2:], strict=False)
+            if any(c - a <= _AT_ONCE * (c - system.start) for a, c in thrice) or (
+                vanished and system.time - times[-1] <= _NEAR * (system.time - system.start)
+            ):
+                return name
+    return None
+
+
+def as_models(wiring: Wiring) -> str:
     """Return the remedy where parts slide on each other, each of which sees one side only."""
-    if not wiring.is_model:
+    if not wiring.unknown:
         return ""
-    return "; if the parts slide on each other, simulate them as one model, system.dae"
+    return (
+        "; if the parts slide on each other, couple them as models: the equations of "
+        f"{', '.join(wiring.unknown)} are not known"
+    )

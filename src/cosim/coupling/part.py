@@ -1,13 +1,14 @@
 """`Part`: a model or an FMU in a coupled system, with its variables."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from casadi_models.dae import Dae
+from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
 from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
@@ -23,7 +24,7 @@ from cosim.fmi.run.instance import (
     unit_of,
 )
 from cosim.fmi.run.typed_values import RANGES
-from cosim.fmi.units import Measured, units_for
+from cosim.fmi.units import Measured, change_of_units, units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -117,7 +118,7 @@ class Part:
         return [one for one in numbers if NUMERIC.fullmatch(self.variables[one].type)]
 
 
-def part_of(name: str, subject: object, folder: Path) -> Part:
+def part_of(name: str, subject: object, folder: Path = Path()) -> Part:
     """Return a part.
 
     Args:
@@ -222,3 +223,38 @@ def split_key(name: str) -> tuple[str, str]:
     """Return part and variable of "part.variable"; names of parts have no dot."""
     part, _, variable = name.partition(".")
     return part, variable
+
+
+def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connection:
+    """Return the connection of an input and what drives it, with the conversion of their units.
+
+    Raises:
+        UnknownName, UsageError: See `couple`.
+    """
+    ends = split_name(parts, sink), split_name(parts, source)
+    driven, driving = (parts[part].variable(name) for part, name in ends)
+    reject_types(sink, driven, source, driving, changed=False)
+    if not driven.is_input:
+        inputs = [v.name for v in parts[ends[0][0]].variables.values() if v.is_input]
+        raise UsageError(
+            f"{sink} is no input; connect an input: {', '.join(inputs) or 'this part has none'}"
+        )
+    if not driving.is_source:
+        raise UsageError(f"{source} is no output and no state; connect one that is")
+    return Connection(*ends, *change_of_units(sink, driven.measured, source, driving.measured))
+
+
+def undefined_units(
+    parts: Mapping[str, Part], connections: Sequence[Connection]
+) -> Mapping[str, str]:
+    """Return the first connection of each unit without a definition, if both ends have units."""
+    found = dict[str, str]()
+    for wire in connections:
+        ends = [parts[part].variable(name) for part, name in (wire.output, wire.input)]
+        if None in (ends[0].unit, ends[1].unit) or ends[0].unit == ends[1].unit:
+            continue
+        for end in ends:
+            if end.definition is None:
+                text = f"{'.'.join(wire.output)} to {'.'.join(wire.input)}"
+                found.setdefault(str(end.unit), text)
+    return found

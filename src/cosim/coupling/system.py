@@ -15,8 +15,10 @@ from casadi_models.dae.coupled import Connection, joined
 from casadi_models.units import Unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, End, with_outputs
+from cosim.coupling.failures import EndlessEvents
+from cosim.coupling.merged import Merged, sliding_parts
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part, Variable, reject_types, split_key, split_name
+from cosim.coupling.part import Part, Variable, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
 from cosim.errors import (
     Interrupted,
@@ -78,6 +80,7 @@ class System:
     places: Mapping[str, str] = field(default_factory=dict, repr=False)
     unused: Mapping[str, tuple[Ability, ...]] = field(default_factory=dict)
     _open: ExitStack = field(default_factory=ExitStack, repr=False)
+    _merged: dict[tuple[str, ...], "System"] = field(default_factory=dict, repr=False)
     _folders: list[Path] = field(default_factory=list, repr=False)
     _lock: RLock = field(default_factory=RLock, repr=False)
 
@@ -85,7 +88,9 @@ class System:
         return pickled(self, self._folders)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state["fields"], _open=ExitStack(), _folders=[], _lock=RLock())
+        vars(self).update(
+            state["fields"], _open=ExitStack(), _merged={}, _folders=[], _lock=RLock()
+        )
         if state["files"]:
             vars(self).update(parts=with_files(self.parts, state["files"], self._temporary()))
 
@@ -219,9 +224,12 @@ class System:
         given = values_of(self.parts, start_values or {}, self.connectors)
         names = None if outputs is None else self._resolved(outputs)
         with self.naming_files(), self._lock:  # which owns the instances of the parts
-            simulation, values = self._co_simulation, self._of_parts(self.start_values | given)
             try:
-                run = simulation.run(settings, values, self._recorded(simulation, names))
+                run = self._run(settings, given, self._recorded(names))
+            except EndlessEvents as error:
+                if not error.partial.complete:
+                    raise
+                run = error.partial  # with a note
             except (SolverError, Interrupted) as error:
                 if isinstance(error.partial, Trajectory):
                     error.partial = with_outputs(error.partial, self.connectors, names)
@@ -231,7 +239,7 @@ class System:
         notes = [run.stats["note"]] if "note" in run.stats else []
         notes += [
             f"no file defines the unit '{unit}': {connection} is not converted"
-            for unit, connection in _undefined_units(self.parts, self.connections).items()
+            for unit, connection in undefined_units(self.parts, self.connections).items()
         ]
         if notes:
             run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
@@ -259,14 +267,49 @@ class System:
             found += [f"{part}.{number}" for number in numbers]
         return found
 
-    def _recorded(
-        self, simulation: CoSimulation, names: Sequence[str] | None
-    ) -> list[tuple[str, str]] | None:
+    def _run(
+        self,
+        settings: Settings,
+        given: dict[tuple[str, str], float],
+        recorded: Sequence[tuple[str, str]],
+    ) -> Trajectory:
+        """Simulate; parts that slide on each other become one part."""
+        values = self._of_parts(self.start_values | given)
+        try:
+            return self._co_simulation.run(settings, values, recorded)
+        except EndlessEvents as error:
+            names = sliding_parts(self.parts, self.connections, error.part)
+            if not names:
+                raise
+            try:
+                return self._run_merged(names, settings, given, recorded)
+            except SolverError:
+                raise error from None
+
+    def _run_merged(
+        self,
+        names: tuple[str, ...],
+        settings: Settings,
+        given: dict[tuple[str, str], float],
+        recorded: Sequence[tuple[str, str]],
+    ) -> Trajectory:
+        whole = "_".join(names)
+        while whole in self.parts:
+            whole += "_"
+        merged = Merged(names, whole)
+        if names not in self._merged:
+            own = merged.changes(self.parts, self.connections, self.start_values, self.unused)
+            self._merged[names] = System(self.name, **own)
+        inside = {merged.inside(name): value for name, value in given.items()}
+        run = self._merged[names]._run(settings, inside, list(map(merged.inside, recorded)))
+        return merged.outside(run, recorded)
+
+    def _recorded(self, names: Sequence[str] | None) -> list[tuple[str, str]]:
         """Return the variables of parts that names, or by default all outputs, need."""
         behind = {c.name: c.ends[0].variable for c in self.connectors.values() if c.shows}
         if names is not None:
             return list(dict.fromkeys(behind.get(name, split_key(name)) for name in names))
-        return [*dict.fromkeys([*simulation.recorded, *behind.values()])] if behind else None
+        return list(dict.fromkeys([*self._co_simulation.recorded, *behind.values()]))
 
     def naming_files(self) -> AbstractContextManager[None]:
         """Return a context in which messages about unpacked files name what they come from."""
@@ -345,9 +388,8 @@ class System:
             for n, p in self.parts.items()
         }
         files = self._exported(versions)
-        found = CoSimulation(
-            self.name, files, self.connections, self.unused, is_model=self.is_model
-        )
+        unknown = [n for n, part in self.parts.items() if isinstance(part.subject, Path)]
+        found = CoSimulation(self.name, files, self.connections, self.unused, unknown)
         self.holds(closing(found))
         return found
 
@@ -380,41 +422,6 @@ class System:
                 (e.output_interval for e in daes), default=(stop - start) / 500
             )
         return start, stop, number(self.name, "output_interval", interval, positive=True)
-
-
-def connection_of(parts: Mapping[str, Part], sink: str, source: str) -> Connection:
-    """Return the connection of an input and what drives it, with the conversion of their units.
-
-    Raises:
-        UnknownName, UsageError: See `couple`.
-    """
-    ends = split_name(parts, sink), split_name(parts, source)
-    driven, driving = (parts[part].variable(name) for part, name in ends)
-    reject_types(sink, driven, source, driving, changed=False)
-    if not driven.is_input:
-        inputs = [v.name for v in parts[ends[0][0]].variables.values() if v.is_input]
-        raise UsageError(
-            f"{sink} is no input; connect an input: {', '.join(inputs) or 'this part has none'}"
-        )
-    if not driving.is_source:
-        raise UsageError(f"{source} is no output and no state; connect one that is")
-    return Connection(*ends, *change_of_units(sink, driven.measured, source, driving.measured))
-
-
-def _undefined_units(
-    parts: Mapping[str, Part], connections: Sequence[Connection]
-) -> Mapping[str, str]:
-    """Return the first connection of each unit without a definition, if both ends have units."""
-    found = dict[str, str]()
-    for wire in connections:
-        ends = [parts[part].variable(name) for part, name in (wire.output, wire.input)]
-        if None in (ends[0].unit, ends[1].unit) or ends[0].unit == ends[1].unit:
-            continue
-        for end in ends:
-            if end.definition is None:
-                text = f"{'.'.join(wire.output)} to {'.'.join(wire.input)}"
-                found.setdefault(str(end.unit), text)
-    return found
 
 
 def values_of(
