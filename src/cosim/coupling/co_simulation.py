@@ -219,8 +219,10 @@ class CoSimulation:
                 tighter = min(_TIGHTER, accuracy / estimate / 2)
                 if tolerance <= _TIGHTEST:
                     break
-            last, jumps_before, ratio = run, jumps, max(tighter, _TIGHTEST / tolerance)
-            tolerance = max(tolerance * tighter, _TIGHTEST)
+            last, jumps_before, before_last = run, jumps, _TIGHTEST / _TIGHTER
+            least = before_last if tolerance > before_last else _TIGHTEST  # which confirms it
+            ratio = max(tighter, least / tolerance)
+            tolerance = max(tolerance * tighter, least)
         raise SolverError(
             f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: the last two "
             f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
