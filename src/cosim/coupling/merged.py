@@ -26,7 +26,7 @@ def sliding_parts(
         feeling |= more
     sides = {holder} | {w.output[0] for w in connections if w.input[0] == holder} & feeling
     known = all(isinstance(parts[name].subject, Dae) for name in sides)
-    return tuple(name for name in parts if name in sides) if known and len(sides) > 1 else ()
+    return tuple(sorted(sides)) if known and len(sides) > 1 else ()  # in any order the same bits
 
 
 @dataclass(frozen=True)
