@@ -19,7 +19,7 @@ hangs on rounding, or that grow, are drawn again.
 Columns: kept: share of runs, of those not refused, whose true error is at most what was asked;
 worst: largest true error, in units of what was asked; refused: share; bound: share of runs whose
 estimate is at least the true error; below: how many times the true error exceeds the estimate at
-worst. Errors below 1e-11 may be those of the references: an estimate is not judged by them.
+worst. Errors below 1e-12 may be those of the references: an estimate is not judged by them.
 """
 
 import argparse
@@ -47,7 +47,7 @@ ACCURACIES = (1e-3, 1e-6, 1e-8)
 STOP = 3.0  # s, of the systems with events
 NEAR = 1e-5  # s; rows so near a switch may lie on either side of it
 LARGEST = 20.0  # of a course that does not grow
-REFERENCES = 1e-11  # what they are wrong by at most
+REFERENCES = 1e-12  # what they may be wrong by
 
 
 class Course(NamedTuple):
