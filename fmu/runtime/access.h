@@ -59,7 +59,7 @@ static const char *role_name(Role role) {
 }
 
 /* Check that a list of value references can be read and is of this model. */
-static bool all_known(Instance *self, const uint32_t references[], size_t count) {
+static bool all_known(Instance *self, const Reference references[], size_t count) {
     if (count > 0 && !references) {
         refuse(self, ERROR, "%zu value references, but no list", count);
         return false;
@@ -80,7 +80,7 @@ static Status refuse_not_finite(Instance *self, size_t reference) {
 }
 
 /* Values by reference; none is written unless all are defined and finite. */
-static Status get_values(Instance *self, const uint32_t references[], size_t count,
+static Status get_values(Instance *self, const Reference references[], size_t count,
                          double values[]) {
     if (count == 0) return OK;
     if (!all_known(self, references, count)) return ERROR;
@@ -120,7 +120,7 @@ static Status check_setting(Instance *self, const VariableInfo *variable, double
     return OK;
 }
 
-static bool changes_parameters(const Instance *self, const uint32_t references[], size_t count,
+static bool changes_parameters(const Instance *self, const Reference references[], size_t count,
                                const double values[]) {
     for (size_t i = 0; i < count; i++)
         if (variables[references[i]].role == PARAMETER &&
@@ -130,7 +130,7 @@ static bool changes_parameters(const Instance *self, const uint32_t references[]
 }
 
 /* Set variables by reference: all of them, or none if one is rejected. */
-static Status set_values(Instance *self, const uint32_t references[], size_t count,
+static Status set_values(Instance *self, const Reference references[], size_t count,
                          const double values[]) {
     if (count == 0) return OK;
     if (!all_known(self, references, count)) return ERROR;
@@ -178,7 +178,8 @@ static uint32_t valid_reference(const Instance *self) {
 }
 
 /* The Boolean variable `valid`, for a list of references to it. */
-static Status get_validity(Instance *self, const uint32_t references[], size_t count, bool *valid) {
+static Status get_validity(Instance *self, const Reference references[], size_t count,
+                           bool *valid) {
     if (count == 0) return OK;
     if (!references) return refuse(self, ERROR, "%zu value references, but no list", count);
     for (size_t i = 0; i < count; i++)

@@ -15,8 +15,8 @@
 #include "stepping.h"
 
 #if NO_DERIVATIVES
-static Status get_rates(Instance *self, const uint32_t references[], size_t count,
-                        const int32_t orders[], double values[]) {
+static Status get_rates(Instance *self, const Reference references[], size_t count,
+                        const Order orders[], double values[]) {
     (void)references, (void)orders, (void)values;
     return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
 }
@@ -25,7 +25,7 @@ enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };
 
 static const double PART = 0.01; /* of a step, between two points */
 
-static Status check_orders(Instance *self, size_t count, const int32_t orders[], int *highest) {
+static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
     for (size_t i = 0; i < count; i++) {
         if (orders[i] < 1 || orders[i] > MOST_ORDER)
@@ -70,8 +70,8 @@ static double difference(int order, double h, double rates[TIMES][N_VARIABLES], 
     return (16 * (near + near_before) - (far + far_before) - 30 * rates[HERE][k]) / (12 * h * h);
 }
 
-static Status higher_rates(Instance *self, const uint32_t references[], size_t count,
-                           const int32_t orders[], double values[]) {
+static Status higher_rates(Instance *self, const Reference references[], size_t count,
+                           const Order orders[], double values[]) {
     double rates[TIMES][N_VARIABLES];
     const double h = PART * typical_step(self);
     const State from = self->state;
@@ -88,15 +88,15 @@ static Status higher_rates(Instance *self, const uint32_t references[], size_t c
     return status;
 }
 
-static Status rates_at(Instance *self, const uint32_t references[], size_t count,
-                       const int32_t orders[], int highest, double values[]) {
+static Status rates_at(Instance *self, const Reference references[], size_t count,
+                       const Order orders[], int highest, double values[]) {
     const Status status = time_derivatives(self, references, count, values);
     if (status != OK || highest < 2) return status;
     return higher_rates(self, references, count, orders, values);
 }
 
-static Status get_rates(Instance *self, const uint32_t references[], size_t count,
-                        const int32_t orders[], double values[]) {
+static Status get_rates(Instance *self, const Reference references[], size_t count,
+                        const Order orders[], double values[]) {
     int highest = 0;
     if (count == 0) return OK;
     if (check_orders(self, count, orders, &highest) != OK) return ERROR;

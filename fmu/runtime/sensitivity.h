@@ -20,14 +20,14 @@ static Status no_derivatives(Instance *self) {
     return refuse(self, ERROR, "the FMU was exported without derivatives");
 }
 
-static Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-                          const uint32_t knowns[], size_t n_knowns, const double seed[],
+static Status directional(Instance *self, const Reference unknowns[], size_t n_unknowns,
+                          const Reference knowns[], size_t n_knowns, const double seed[],
                           double sensitivity[]) {
     (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)sensitivity;
     return no_derivatives(self);
 }
 
-static Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count,
+static Status time_derivatives(Instance *self, const Reference unknowns[], size_t count,
                                double rates[]) {
     (void)unknowns, (void)count, (void)rates;
     return no_derivatives(self);
@@ -57,8 +57,8 @@ static bool is_unknown(const VariableInfo *variable) {
     }
 }
 
-static Status check_roles(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-                          const uint32_t knowns[], size_t n_knowns) {
+static Status check_roles(Instance *self, const Reference unknowns[], size_t n_unknowns,
+                          const Reference knowns[], size_t n_knowns) {
     if (!all_known(self, unknowns, n_unknowns) || !all_known(self, knowns, n_knowns)) return ERROR;
     for (size_t i = 0; i < n_unknowns; i++)
         if (!is_unknown(&variables[unknowns[i]]))
@@ -81,7 +81,7 @@ static Status refuse_infinite(Instance *self, uint32_t reference, double value) 
     return refuse(self, DISCARD, "the derivative of %s is %g", variables[reference].name, value);
 }
 
-static Status gather(Instance *self, const uint32_t references[], size_t count,
+static Status gather(Instance *self, const Reference references[], size_t count,
                      const double results[], double values[]) {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(results[references[i]]))
@@ -128,8 +128,8 @@ static Status push_forward(Instance *self, double seed[]) {
 /* Does the Jacobian of dx and z with respect to x and u answer? It costs as much as two or three
    columns on their own, is kept until a setter makes it stale, and serves importers that ask column
    by column. */
-static bool in_jacobian(const Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-                        const uint32_t knowns[], size_t n_knowns) {
+static bool in_jacobian(const Instance *self, const Reference unknowns[], size_t n_unknowns,
+                        const Reference knowns[], size_t n_knowns) {
     if (is_starting(self) || n_knowns != 1) return false;
     const Role known_role = variables[knowns[0]].role;
     if (known_role != STATE && known_role != INPUT) return false;
@@ -140,7 +140,7 @@ static bool in_jacobian(const Instance *self, const uint32_t unknowns[], size_t 
     return true;
 }
 
-static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
+static Status column_of_jacobian(Instance *self, const Reference unknowns[], size_t n_unknowns,
                                  uint32_t known_reference, double seed, double sensitivity[]) {
     const Status status = refresh(self, JACOBIAN);
     if (status != OK) return status;
@@ -159,8 +159,8 @@ static Status column_of_jacobian(Instance *self, const uint32_t unknowns[], size
 }
 
 /* Jacobian of the unknowns with respect to the knowns, times the seed of the knowns. */
-static Status directional(Instance *self, const uint32_t unknowns[], size_t n_unknowns,
-                          const uint32_t knowns[], size_t n_knowns, const double seed[],
+static Status directional(Instance *self, const Reference unknowns[], size_t n_unknowns,
+                          const Reference knowns[], size_t n_knowns, const double seed[],
                           double sensitivity[]) {
     Status status = check_roles(self, unknowns, n_unknowns, knowns, n_knowns);
     if (status != OK) return status;
@@ -187,7 +187,7 @@ static Status all_rates(Instance *self, double rates[]) {
     return push_forward(self, rates);
 }
 
-static Status time_derivatives(Instance *self, const uint32_t unknowns[], size_t count,
+static Status time_derivatives(Instance *self, const Reference unknowns[], size_t count,
                                double rates[]) {
     double along[N_VARIABLES];
     Status status = check_roles(self, unknowns, count, NULL, 0);

@@ -11,6 +11,16 @@
 #include "model_laws.h"
 #endif
 
+/* Value references and orders of derivatives as FMI declares them: 32 bits, of a type that depends
+   on the compiler. */
+#ifdef fmi2TypesPlatform_h
+typedef fmi2ValueReference Reference;
+typedef fmi2Integer Order;
+#else
+typedef uint32_t Reference;
+typedef int32_t Order;
+#endif
+
 /* Numbered as in FMI 2 and FMI 3. */
 typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 

@@ -71,8 +71,8 @@ static Status do_step(Instance *self, double from, double length) {
 
 /* Time derivatives of inputs for the next communication step; those of higher orders are dropped,
    as an importer may offer whatever its own side knows. */
-static Status set_motion(Instance *self, const uint32_t references[], size_t count,
-                         const int32_t orders[], const double values[]) {
+static Status set_motion(Instance *self, const Reference references[], size_t count,
+                         const Order orders[], const double values[]) {
     if (count == 0) return OK;
     if (!all_known(self, references, count)) return ERROR;
     if (!orders) return refuse(self, ERROR, "the orders are missing");

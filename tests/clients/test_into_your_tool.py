@@ -64,7 +64,7 @@ def test_own_c_program_prints_the_numbers_of_the_page(folder):
     zipfile.ZipFile(folder / "bicycle.fmu").extractall(folder / "bicycle")
     (folder / "main.c").write_text(block("c", "fmi2Functions.h"))
     guid = re.search(r'guid="(.*?)"', (folder / "bicycle/modelDescription.xml").read_text())[1]
-    command = re.search(r"^gcc .*", block("sh", "gcc"), re.MULTILINE)[0]
+    command = re.search(r"^gcc .*", block("sh", "-lm"), re.MULTILINE)[0]
     headers = Path(fmpy.__file__).parent / "c-code"
     command = command.replace("{...}", guid).replace("-I c-code", f"-I '{headers}'")
     subprocess.run(command, shell=True, cwd=folder, check=True)

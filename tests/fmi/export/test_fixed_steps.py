@@ -174,6 +174,17 @@ def test_static_instance_needs_no_heap_and_gives_the_same_bits(sources, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no GNU toolchain for ARM")
+def test_toolchain_of_controllers_compiles_it(sources, tmp_path):
+    """Its 32-bit integers are of the type long, unlike those of FMI 2."""
+    folder, _ = sources
+    options = ["-std=c11", "-mcpu=cortex-m7", "-Os", "-Wall", "-Werror", *STATIC, f"-I{folder}"]
+    target = tmp_path / "fmu.o"
+    command = ["arm-none-eabi-gcc", *options, "-c", folder / "fmu.c", "-o", target]
+    subprocess.run(command, check=True)
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="no ziglang")
 def test_controller_compiles_it(sources, tmp_path):
     import ziglang
