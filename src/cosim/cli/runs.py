@@ -130,13 +130,12 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
     """Run a coupled system by co-simulation; in a process of its own if it has foreign FMUs."""
     others = [option for option in _OF_MODELS if option != "accuracy"]
     _reject(args, others, "models; a co-simulation has --method, --accuracy and --macro-step")
-    if inputs_in(args):
-        raise UsageError("--input is for models; drive an input of a system by a part of its own")
     names = (*TIMES, "relative_tolerance", "accuracy", *_OF_SYSTEMS)
     options = {name: value for name, value in options_in(args, *names).items() if value is not None}
     if "accuracy" in options:
         options["accuracy"] = quantity("--accuracy", options["accuracy"], "1")
     options["start_values"] = dict(start_texts(args))
+    options["inputs"] = inputs_in(args)
     options["outputs"] = None if args.outputs is None else names_in(args.outputs)
     system = read_system(args.model)
     if getattr(args, "at", None) is not None:  # before a run of which the times are not a part

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
-from typing import Any
+from typing import Any, Unpack
 from weakref import finalize
 
 from casadi_models.dae import Dae
@@ -20,6 +20,7 @@ from cosim.coupling.merged import Merged, sliding_parts
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, Variable, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
+from cosim.coupling.signals import Signals
 from cosim.errors import (
     Interrupted,
     ParameterError,
@@ -34,10 +35,11 @@ from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.ssp import write_ssp
 from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
-from cosim.integrate.keywords import requested
+from cosim.integrate.keywords import SpanKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.model.quantities import quantity
 from cosim.model.request import choice
+from cosim.model.times import time_grid
 from cosim.model.values import number, plain_values
 from cosim.trajectory import Trajectory
 
@@ -167,21 +169,19 @@ class System:
     def simulate(
         self,
         *,
-        start_time: float | None = None,
-        stop_time: float | None = None,
-        output_interval: float | None = None,
         accuracy: float | None = None,
         macro_step: float | None = None,
         method: str = Method.ITERATED,
         relative_tolerance: float | None = None,
         start_values: Mapping[str, float | str] | None = None,
+        inputs: Any = None,
         outputs: Sequence[str] | None = None,
         threads: bool = False,
+        **span: Unpack[SpanKeywords],
     ) -> Trajectory:
         """Simulate the parts as FMUs for co-simulation. Binaries of FMUs run in this process.
 
         Args:
-            start_time, stop_time, output_interval: s; those of the system when None.
             accuracy: Desired largest error of the outputs that the coupling causes, in nominal
                 values; the macro steps are chosen for it, and checked by a second run with
                 others. 1e-6 if neither this nor `macro_step` is given.
@@ -193,10 +193,14 @@ class System:
                 1e-10 with `macro_step`.
             start_values: Start values, parameters and constant inputs by `part.variable`, or by
                 the name of a connector: numbers in the variable's unit, or texts with a unit.
+            inputs: Of parts or of the whole system, by name: a formula of time ("2*sin(3*t)"), a
+                function of time, samples at the output times (n,), an `InputSeries`, or a number;
+                or what `read_inputs` returns. Jumps and kinks are events. At most 1000 samples.
             outputs: Names to record, `part.variable` or an output of the whole system; all outputs
                 and connected inputs when None.
             threads: Whether parts step at the same time, a thread each, with equal results; their
                 FMUs must bear it. Not with gauss_seidel, nor on Windows.
+            span: start_time, stop_time, output_interval, s; those of the system when None.
 
         Returns:
             The recorded variables. Its `stats` holds macro_steps, rejected_steps, iterations,
@@ -213,7 +217,7 @@ class System:
             MissingTool: There is no compiler.
         """
         settings = Settings(
-            *self.times(start_time, stop_time, output_interval),
+            *self.times(span.get("start_time"), span.get("stop_time"), span.get("output_interval")),
             accuracy=_positive(self.name, "accuracy", accuracy),
             macro_step=_positive(self.name, "macro_step", macro_step),
             method=choice(Method, "method", method),
@@ -222,6 +226,44 @@ class System:
         )
         self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
+        if inputs is None or inputs == {}:
+            return self._simulated(settings, given, outputs)
+        times = time_grid(settings.start, settings.stop, settings.interval)
+        signals = Signals.of(self.name, self.parts, self.connectors, inputs, times)
+        try:
+            run = self._driven_by(signals, given)._simulated(settings, given, outputs)
+        except (SolverError, Interrupted) as error:
+            if isinstance(error.partial, Trajectory):
+                error.partial = signals.outside(error.partial)
+            raise
+        return signals.outside(run)
+
+    def _driven_by(self, signals: Signals, given: Mapping[tuple[str, str], float]) -> "System":
+        """Return the system with a part that drives inputs."""
+        taken = {wire.input for wire in self.connections} | set(given)
+        driven = {wire.input for wire in signals.connections}
+        if twice := [".".join(name) for name in sorted(driven & taken)]:
+            raise UsageError(f"{self.name}: {twice[0]} is connected or has a value; give it once")
+        own = {(signals.name, name) for name in signals.part.variables}
+        return replace(
+            self,
+            parts={**self.parts, signals.name: signals.part},
+            connections=(*self.connections, *signals.connections),
+            start_values={n: v for n, v in self.start_values.items() if n not in driven},
+            open_inputs=self.open_inputs | own,
+            _open=ExitStack(),
+            _merged={},
+            _folders=[],
+            _lock=RLock(),
+        )
+
+    def _simulated(
+        self,
+        settings: Settings,
+        given: dict[tuple[str, str], float],
+        outputs: Sequence[str] | None,
+    ) -> Trajectory:
+        """Simulate by co-simulation; see `simulate`."""
         names = None if outputs is None else self._resolved(outputs)
         with self.naming_files(), self._lock:  # which owns the instances of the parts
             try:

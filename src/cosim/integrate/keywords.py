@@ -21,12 +21,17 @@ from cosim.model.times import Times
 from cosim.model.values import A_DAE, assign
 
 
-class TimeKeywords(TypedDict, total=False):
-    """Keywords of the output times; see `cosim.simulate`."""
+class SpanKeywords(TypedDict, total=False):
+    """Keywords of equidistant output times; see `cosim.simulate`."""
 
     start_time: float | None
     stop_time: float | None
     output_interval: float | None
+
+
+class TimeKeywords(SpanKeywords, total=False):
+    """Keywords of the output times; see `cosim.simulate`."""
+
     output_times: ArrayLike | None
 
 

@@ -1,0 +1,118 @@
+"""`Signals`: a part of a system that drives inputs by formulas of time and tables."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Any
+
+from casadi_models.dae import Dae, Model
+from casadi_models.dae.coupled import Connection
+from casadi_models.units import parse_unit
+from cosim.arrays import Vector
+from cosim.coupling.connectors import Connector, End
+from cosim.coupling.part import Part, part_of, split_name
+from cosim.errors import UsageError
+from cosim.integrate.keywords import requested
+from cosim.model.driving import driven, with_tables
+from cosim.model.inputs import InputSeries
+from cosim.trajectory import Trajectory
+
+MOST_SAMPLES = 1000  # of a table, each of which is an event
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The part, and what it drives.
+
+    Attributes:
+        name: Of the part.
+        part: The part.
+        connections: From its outputs to the inputs that they drive.
+    """
+
+    name: str
+    part: Part
+    connections: tuple[Connection, ...]
+
+    @classmethod
+    def of(
+        cls,
+        owner: str,
+        parts: Mapping[str, Part],
+        connectors: Mapping[str, Connector],
+        inputs: Any,
+        times: Vector,
+    ) -> "Signals":
+        """Return the part for inputs of a system.
+
+        Args:
+            owner: Name of the system.
+            parts, connectors: Of the system.
+            inputs: See `System.simulate`.
+            times: Output times, s, (n,).
+
+        Raises:
+            UnknownName, UsageError, ParameterError: A variable is no input, or a formula or a table
+                is malformed.
+        """
+        if isinstance(inputs, InputSeries):
+            inputs = dict.fromkeys(inputs.names, inputs)
+        elif not isinstance(inputs, Mapping):
+            expected = "what cosim.read_inputs returns, or values by name, e.g. {'a.u': 'sin(t)'}"
+            raise UsageError.of_type(f"{owner}: inputs", inputs, expected)
+        name = next(name for name in _names() if name not in parts)
+        model = Model("inputs", description="inputs of a system", source="formulas and tables")
+        laws, wires = dict[str, Any](), list[Connection]()
+        for text, law in inputs.items():
+            unit, ends = _driven(owner, parts, connectors, text)
+            symbol = re.sub(r"\W", "_", text)
+            model.output(f"{symbol}_signal", unit, model.input(symbol, unit, 0.0, text), text)
+            laws[symbol] = law
+            source = name, f"{symbol}_signal"
+            wires += [Connection(end.variable, source, end.factor, end.offset) for end in ends]
+        dae = _following(model.freeze(), laws, times)
+        dae = replace(dae, driving=tuple(v.name for v in dae.output_variables))
+        return cls(name, part_of(name, dae), tuple(wires))
+
+    def outside(self, run: Trajectory) -> Trajectory:
+        """Return a run without the variables and events of this part."""
+        prefix = f"{self.name}."
+        names = [name for name in run.names if not name.startswith(prefix)]
+        events = tuple(e for e in run.events if not e.name.startswith(f"{self.name}: "))
+        return replace(run.select(names), events=events)
+
+
+def _names() -> Iterator[str]:
+    yield "inputs"
+    yield from (f"inputs_{i}" for i in count(2))
+
+
+def _driven(
+    owner: str, parts: Mapping[str, Part], connectors: Mapping[str, Connector], name: str
+) -> tuple[str, tuple[End, ...]]:
+    """Return the unit of an input of a system or of a part, and what it sets."""
+    connector = connectors.get(name)
+    if connector is not None and connector.is_input:
+        unit, ends = connector.unit, connector.ends
+    else:
+        key = split_name(parts, name)
+        unit, ends = parts[key[0]].variable(key[1]).unit, (End(key, 1.0, 0.0),)
+    for part, own in (end.variable for end in ends):
+        if not parts[part].variable(own).is_input:
+            raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
+    return unit if unit and parse_unit(unit) else "1", ends
+
+
+def _following(dae: Dae, inputs: Mapping[str, Any], times: Vector) -> Dae:
+    """Return the model whose inputs follow formulas, functions and tables."""
+    found = driven(dae, inputs, lambda: times)
+    dae, series = found.dae, found.series
+    if series is not None:
+        if len(series.time) > MOST_SAMPLES:
+            raise UsageError(
+                f"{dae.name}: a table of {len(series.time)} rows; a co-simulation takes up to "
+                f"{MOST_SAMPLES}; give a shorter one, or simulate the system as one model"
+            )
+        dae = with_tables(dae, series)
+    return requested(dae, start_values=found.constants).configured() if found.constants else dae
