@@ -1,14 +1,12 @@
 """`single_terms`, `time_terms`: parts of equations that one moving quantity alone determines."""
 
 from collections.abc import Iterator, Sequence
-from math import isfinite, nan
 from typing import NamedTuple
 
 import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.time_bounds import bounds_within
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
@@ -16,8 +14,8 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
     ca.OP_CONSTPOW, ca.OP_SINH, ca.OP_COSH, ca.OP_TAN, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT,
     ca.OP_CALL,
 }  # fmt: skip
+# Of several quantities; quotients and powers bend near poles, beside which a motion is slow
 _RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
-_WITH_POLES = {ca.OP_INV, ca.OP_DIV, ca.OP_POW, ca.OP_CONSTPOW}  # beside which a motion is slow
 FARTHEST = 1e6  # from 0, of what moves: SI units
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
@@ -59,8 +57,8 @@ def single_terms(dae: Dae) -> dict[int, SX]:
 def several_terms(dae: Dae) -> SX:
     """Return the small terms that several quantities move, and that may rest and change.
 
-    Time, states, unknowns and inputs count. Tables and other functions that are called are terms;
-    quotients and powers are where bounds tell that they have no pole.
+    Time, states, unknowns and inputs count. Tables and other functions that are called are terms,
+    quotients and powers are not.
 
     Returns:
         Expressions of the symbols of the equations, (n, 1).
@@ -69,26 +67,10 @@ def several_terms(dae: Dae) -> SX:
     for node, operands in _nodes(dae, through_calls=True):
         value = node.value
         size = sizes[_key(node)] = 1 + sum(sizes[_key(operand)] for operand in operands)
-        small = operands and size <= _MOST_OPERATIONS and operands[-1].moving != _NONE
-        if node.moving != _MANY or not small:
-            continue
-        if value.op() == ca.OP_CALL:
-            found.append(value.get_output(0))
-        elif value.op() in _RESTING or (value.op() in _WITH_POLES and _is_bounded(dae, value)):
-            found.append(value)
+        narrow = value.op() in _RESTING and operands[-1].moving != _NONE
+        if narrow and node.moving == _MANY and size <= _MOST_OPERATIONS:
+            found.append(value if value.op() != ca.OP_CALL else value.get_output(0))
     return ca.densify(ca.vertcat(SX(0, 1), *found))
-
-
-def _is_bounded(dae: Dae, value: SX) -> bool:
-    """Tell whether bounds of a term for all values of what moves it are known and finite."""
-    moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
-    ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
-    bounds = bounds_within(value, moving, ends, dae.p)
-    if bounds is None:
-        return False
-    p = [nan if v.start is None else v.start for v in dae.parameters]
-    function = ca.Function("bounds", [*ends, dae.p], list(bounds))
-    return all(isfinite(float(end)) for end in function(-FARTHEST, FARTHEST, p))
 
 
 def time_terms(dae: Dae) -> SX:

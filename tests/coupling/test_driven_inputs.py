@@ -92,6 +92,8 @@ def test_command_line_takes_formulas_and_tables_with_an_fmu(file, pair, tmp_path
     inputs = {"a.kick": table("a.kick"), "b.kick": "2*t"}
     one = cosim.simulate(pair.dae, inputs=inputs, output_times=found.time)
     assert np.abs(found["a.x"] - one["a.x"]).max() < 1e-6
+    assert main([*words, "--input", "x=t", "--trust"]) == 3
+    assert "the system has no part 'x'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

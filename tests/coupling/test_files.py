@@ -248,7 +248,6 @@ def test_command_line_runs_the_model_the_co_simulation_and_the_ssp(ssp, tmp_path
     [
         (["simulate", "bicycle", "--method", "jacobi"], "are for coupled systems"),
         (["simulate", "SSP", "--solver", "dop853"], "--solver is for models"),
-        (["simulate", "SSP", "--input", "x=t"], "part 'x'"),
         (["simulate", "SSP", "--method", "jacobi"], "give macro_step"),
         (["export", "crank_shaft", "-o", "x.ssp"], ".ssp is for coupled systems"),
         (["linearize", "SSP"], "a system is taken by simulate, tradeoff and info"),

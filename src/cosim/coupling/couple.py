@@ -11,7 +11,8 @@ from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection
 from cosim.coupling.opened_part import unused_abilities
 from cosim.coupling.part import Part, connection_of, part_of, split_name
-from cosim.coupling.system import System, values_of
+from cosim.coupling.system import System
+from cosim.coupling.values import values_of
 from cosim.errors import UsageError
 from cosim.model.values import number
 

@@ -11,7 +11,8 @@ from casadi_models.dae.coupled import Connection
 from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.coupling.connectors import Connector, End
-from cosim.coupling.part import Part, part_of, split_name
+from cosim.coupling.part import Part, part_of
+from cosim.coupling.values import target
 from cosim.errors import UsageError
 from cosim.integrate.keywords import requested
 from cosim.model.driving import driven, with_tables
@@ -92,12 +93,7 @@ def _driven(
     owner: str, parts: Mapping[str, Part], connectors: Mapping[str, Connector], name: str
 ) -> tuple[str, tuple[End, ...]]:
     """Return the unit of an input of a system or of a part, and what it sets."""
-    connector = connectors.get(name)
-    if connector is not None and connector.is_input:
-        unit, ends = connector.unit, connector.ends
-    else:
-        key = split_name(parts, name)
-        unit, ends = parts[key[0]].variable(key[1]).unit, (End(key, 1.0, 0.0),)
+    _, ends, unit, _ = target(parts, connectors, name)
     for part, own in (end.variable for end in ends):
         if not parts[part].variable(own).is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")

@@ -12,15 +12,15 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
-from casadi_models.units import Unit
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
-from cosim.coupling.connectors import Connector, End, with_outputs
+from cosim.coupling.connectors import Connector, with_outputs
 from cosim.coupling.failures import EndlessEvents
 from cosim.coupling.merged import Merged, sliding_parts
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part, Variable, split_key, split_name, undefined_units
+from cosim.coupling.part import Part, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
 from cosim.coupling.signals import Signals
+from cosim.coupling.values import values_of
 from cosim.errors import (
     Interrupted,
     ParameterError,
@@ -30,14 +30,11 @@ from cosim.errors import (
 )
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import REALS
-from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.ssp import write_ssp
 from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import SpanKeywords, requested
 from cosim.integrate.modes import hybrid
-from cosim.model.quantities import quantity
 from cosim.model.request import choice
 from cosim.model.times import time_grid
 from cosim.model.values import number, plain_values
@@ -464,59 +461,6 @@ class System:
                 (e.output_interval for e in daes), default=(stop - start) / 500
             )
         return start, stop, number(self.name, "output_interval", interval, positive=True)
-
-
-def values_of(
-    parts: Mapping[str, Part],
-    given: Mapping[str, float | str],
-    connectors: Mapping[str, Connector],
-) -> dict[tuple[str, str], float]:
-    """Return values by part and variable.
-
-    Args:
-        given: Numbers in the variable's unit, or texts with a unit, by "part.variable" or by the
-            name of a connector of the whole system.
-
-    Raises:
-        CosimError: A name does not exist, or a value does not fit.
-    """
-    if not isinstance(given, Mapping):
-        raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
-    found = dict[tuple[str, str], float]()
-    for name, value in given.items():
-        connector = connectors.get(name)
-        if connector is not None and connector.is_input:
-            key, ends = ("the system", name), connector.ends
-            unit, units = connector.unit, dict(connector.units)
-        else:
-            key = split_name(parts, name)
-            variable, ends = parts[key[0]].variable(key[1]), (End(key, 1.0, 0.0),)
-            unit, units = variable.unit, dict(variable.units)
-        variables = [parts[part].variable(own) for (part, own), *_ in ends]
-        if not all(variable.is_start for variable in variables):
-            raise UsageError(f"{name} cannot be given; it is calculated")
-        other = next((v for v in variables if v.type not in REALS), None)
-        plain = _plain(key, value, unit, units) if other is None else _typed(key[0], other, value)
-        for end, variable in zip(ends, variables, strict=True):
-            same = (end.factor, end.offset) == (1.0, 0.0)
-            own = plain if same else end.factor * plain + end.offset
-            found[end.variable] = typed_value(end.variable[0], variable, own)
-    return found
-
-
-def _typed(owner: str, variable: Variable, value: object) -> Any:
-    """Return a value, or what a text says, as the type of a variable requires."""
-    whole = isinstance(value, str) and value.strip().removeprefix("-").isdecimal()
-    return typed_value(owner, variable, int(str(value)) if whole else value)
-
-
-def _plain(
-    key: tuple[str, str], value: object, unit: str | None, units: Mapping[str, Unit]
-) -> float:
-    """Return a value in a unit, which a text may name; `key` is its owner and its name."""
-    if isinstance(value, str):
-        value = quantity(".".join(key), value, unit or "1", definitions=units)
-    return number(*key, value)
 
 
 def _positive(owner: str, name: str, value: float | None) -> float | None:

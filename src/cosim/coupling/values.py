@@ -1,0 +1,90 @@
+"""`values_of`: start values of a coupled system, by names of its parts and of its connectors."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from casadi_models.units import Unit
+from cosim.coupling.connectors import Connector, End
+from cosim.coupling.part import Part, Variable, split_name
+from cosim.errors import UsageError
+from cosim.fmi.run.instance import REALS
+from cosim.fmi.run.typed_values import typed_value
+from cosim.model.quantities import quantity
+from cosim.model.values import number
+
+
+class Target(NamedTuple):
+    """What a name of a system sets.
+
+    Attributes:
+        key: Its owner and its name.
+        ends: The variables of parts.
+        unit: Of its value; None if it has none.
+        units: What units mean, by name.
+    """
+
+    key: tuple[str, str]
+    ends: tuple[End, ...]
+    unit: str | None
+    units: Mapping[str, Unit]
+
+
+def target(parts: Mapping[str, Part], connectors: Mapping[str, Connector], name: str) -> Target:
+    """Return what "part.variable" or the name of an input of the whole system sets.
+
+    Raises:
+        UnknownName: There is no such part or variable.
+    """
+    connector = connectors.get(name)
+    if connector is not None and connector.is_input:
+        key = "the system", name
+        return Target(key, connector.ends, connector.unit, dict(connector.units))
+    key = split_name(parts, name)
+    variable = parts[key[0]].variable(key[1])
+    return Target(key, (End(key, 1.0, 0.0),), variable.unit, dict(variable.units))
+
+
+def values_of(
+    parts: Mapping[str, Part],
+    given: Mapping[str, float | str],
+    connectors: Mapping[str, Connector],
+) -> dict[tuple[str, str], float]:
+    """Return values by part and variable.
+
+    Args:
+        given: Numbers in the variable's unit, or texts with a unit, by "part.variable" or by the
+            name of a connector of the whole system.
+
+    Raises:
+        CosimError: A name does not exist, or a value does not fit.
+    """
+    if not isinstance(given, Mapping):
+        raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
+    found = dict[tuple[str, str], float]()
+    for name, value in given.items():
+        key, ends, unit, units = target(parts, connectors, name)
+        variables = [parts[part].variable(own) for (part, own), *_ in ends]
+        if not all(variable.is_start for variable in variables):
+            raise UsageError(f"{name} cannot be given; it is calculated")
+        other = next((v for v in variables if v.type not in REALS), None)
+        plain = _plain(key, value, unit, units) if other is None else _typed(key[0], other, value)
+        for end, variable in zip(ends, variables, strict=True):
+            same = (end.factor, end.offset) == (1.0, 0.0)
+            own = plain if same else end.factor * plain + end.offset
+            found[end.variable] = typed_value(end.variable[0], variable, own)
+    return found
+
+
+def _typed(owner: str, variable: Variable, value: object) -> Any:
+    """Return a value, or what a text says, as the type of a variable requires."""
+    whole = isinstance(value, str) and value.strip().removeprefix("-").isdecimal()
+    return typed_value(owner, variable, int(str(value)) if whole else value)
+
+
+def _plain(
+    key: tuple[str, str], value: object, unit: str | None, units: Mapping[str, Unit]
+) -> float:
+    """Return a value in a unit, which a text may name; `key` is its owner and its name."""
+    if isinstance(value, str):
+        value = quantity(".".join(key), value, unit or "1", definitions=units)
+    return number(*key, value)
