@@ -133,6 +133,17 @@ def test_a_limit_is_left_within_a_short_bump(solver, kind, width):
     assert run.time.tolist() == [0.0, 4.0, 7.0]
 
 
+def test_rows_within_a_pulse_are_not_in_the_result_of_a_run_that_an_event_ends():
+    model = Model("kick", description="kick", source="a test", stop_time=10.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 1.0, "velocity")
+    model.derivative(x, v)
+    model.derivative(v, 5 * ca.exp(-(((model.t - 0.5) / 1e-4) ** 2)))
+    model.limit(100 - v, "v is small")
+    model.stop(x > 1, "it is far")
+    run = cosim.simulate(model.freeze(), output_interval=0.01)  # before: 90 rows more
+    np.testing.assert_allclose(run.time[:-1], 0.01 * np.arange(100), atol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "leaves"), [({"speed": 3.2}, 1.58978), ({"phi_dot": 2.5}, 0.40212)]

@@ -256,7 +256,8 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
             events, stop = [e for e in events if n and e.time <= motion.time[n - 1]], ""
         sides = tuple(_both_sides(prepared, motion, values.p, events)) if events else ()
     rows: slice | NDArray[np.intp] = slice(0, n)
-    if prepared.rows is not None or len(motion.time) > len(problem.grid):
+    last = n - 1 if stop else n
+    if prepared.rows is not None or not np.array_equal(motion.time[:last], problem.grid[:last]):
         grid = problem.grid if prepared.rows is None else problem.grid[prepared.rows]
         recorded = np.flatnonzero(np.isin(motion.time[:n], grid))
         rows = np.union1d(recorded, [n - 1]) if stop else recorded
