@@ -1,11 +1,19 @@
 """A deviation from an unstable equilibrium grows, however far it is below the tolerance."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from casadi import SX
+from helpers.wrapped import wrapped
 
 import cosim
+from cosim.errors import Interrupted
+from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.ensemble.ensemble import RunState
+from cosim.integrate.ensemble.lanes import in_lanes
+from cosim.integrate.growth import followed_growth
 
 PUSH, FALLEN = 1e-13, 3.96360057983538  # rad/s2; rad after 30 s, by steps of 1 ms
 LONG = {"stop_time": 3000, "output_interval": 30}
@@ -61,12 +69,57 @@ def test_growth_is_seen_in_model_exchange(tmp_path, master, times):
     run = cosim.simulate_fmu(path, interface="ModelExchange", master=master)
     assert abs(np.interp(30, run.time, run["x"]) - FALLEN) < 1e-4  # before: 0, 2.86, 3.52
     assert "so that it is followed" in run.stats["note"]
+    assert (f"up to {30:g} s" in run.stats["note"]) is (master == "c")  # throughout
 
 
 def test_growth_that_cannot_be_followed_is_noted(tmp_path):
     path = cosim.export_fmu(pendulum(**LONG), tmp_path / "pendulum.fmu")
     run = cosim.simulate_fmu(path, interface="ModelExchange", master="c")
     assert "it may be suppressed; give absolute_tolerance" in run.stats["note"]
+
+
+def test_ctrl_c_in_the_second_run_ends_it(monkeypatch):
+    def interrupted(run, *rest):
+        def again(closer):
+            motion = run(closer)
+            return replace(motion, reason=INTERRUPTED) if closer else motion
+
+        return followed_growth(again, *rest)
+
+    monkeypatch.setattr("cosim.integrate.events.followed_growth", interrupted)
+    with pytest.raises(Interrupted):  # before: the first run
+        cosim.simulate(pendulum())
+
+
+def test_ctrl_c_in_lanes_begins_no_run_alone(monkeypatch):
+    def interrupted(*values):
+        found, growing = in_lanes(*values)
+        assert len(growing)
+        return replace(found, states=(RunState.INTERRUPTED,) * len(found)), growing
+
+    monkeypatch.setattr("cosim.integrate.ensemble.simulate_many.in_lanes", interrupted)
+    with pytest.raises(Interrupted, match="after 0 of 2 runs"):  # before: 1
+        cosim.simulate_many(pendulum(), {"x": [0.1, 0.0]})
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_a_line_that_leaves_the_range_of_a_function_ends_no_run(tmp_path, master, fmi):
+    model = cosim.Model("tank", stop_time=1500.0, output_interval=1500.0)
+    level = model.state("level", "m", 1.0, "level")
+    model.derivative(level, -1e-3 * ca.sqrt(level))  # on a line, it is negative at the end
+    path = cosim.export_fmu(model.freeze(), tmp_path / "tank.fmu", fmi=fmi)
+    run = cosim.simulate_fmu(path, interface="ModelExchange", master=master)  # before: an error
+    assert run["level"][-1] == pytest.approx(0.0625, rel=1e-3)
+
+
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_a_file_whose_time_does_not_go_back_runs(tmp_path, master):
+    body = """static double last = -1; if (time < last - 2) return fmi2Error;
+    last = time; return CALL;"""
+    path = wrapped(tmp_path, {"fmi": 2}, pendulum(**LONG), fmi2SetTime=body)
+    run = cosim.simulate_fmu(path, interface="ModelExchange", master=master, stop_time=30)
+    assert run.complete
 
 
 @pytest.mark.parametrize("solver", [None, "dop853"])

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.codegen.functions import equations
+from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.integrate.outputs import derivatives_at
@@ -38,6 +39,8 @@ def followed_growth(
         return motion
     closer = growth.closer(relative)
     followed = run(closer)
+    if followed.reason == INTERRUPTED:
+        return followed
     found = motion if followed.reason else followed
     text = growth.note(closer, found is followed)
     return replace(found, note="; ".join(filter(None, (found.note, text))))

@@ -66,9 +66,15 @@ class Deviations:
         return np.array(values)
 
     def _rates(self, time: float, states: Vector) -> Vector:
-        self._clock.set(time)
-        self._instance.setContinuousStates((c_double * len(states))(*states), len(states))
-        return self._block(self._instance.getContinuousStateDerivatives)
+        """Return dx/dt, which is not a number where the FMU has none or does not go back."""
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            self._clock.set(time)
+            self._instance.setContinuousStates((c_double * len(states))(*states), len(states))
+            return self._block(self._instance.getContinuousStateDerivatives)
+        except FMICallException:
+            return np.full(len(states), np.nan)
 
     def _slopes(self, time: float, states: Vector) -> Vector:
         sizes = np.maximum(

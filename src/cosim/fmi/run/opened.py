@@ -81,6 +81,8 @@ class OpenedFmu:
         if growth is None:
             return run
         closer = growth.closer(request.relative_tolerance)
+        if master is Master.C:
+            closer = closer._replace(until=request.stop)
         try:
             found, _ = self._run(replace(request, closer=closer), master)
         except FmuError:

@@ -93,7 +93,7 @@ def simulate_many(
         chosen: Solver = solver
         workers = threads or processors()
         found, growing = in_lanes(request, values, solver.tolerance, workers, lanes)
-        if len(growing):
+        if len(growing) and not found.interrupted:
             alone = _one_by_one(replace(request, solver=solver), values.select(growing))
             found = found.with_runs(growing, alone)
     else:
