@@ -365,3 +365,8 @@ def test_table_of_foreign_keywords_leads_to_own_ones():
 def test_public_function_can_be_sent_to_other_processes(name):
     assert pickle.loads(pickle.dumps(FUNCTIONS[name])) is FUNCTIONS[name]
     assert FUNCTIONS[name].__doc__
+
+
+def test_too_many_arguments_are_answered_by_python():
+    with pytest.raises(TypeError, match=r"simulate\(\) takes .* were given"):
+        cosim.simulate("bicycle", 1.0)

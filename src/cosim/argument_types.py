@@ -40,7 +40,10 @@ def wrong_argument(
     Returns:
         The argument as FUNCTION: NAME, its value, and what to give; None if all fit.
     """
-    given = signature(function).bind_partial(*values).arguments | dict(keywords)
+    try:
+        given = signature(function).bind_partial(*values).arguments | dict(keywords)
+    except TypeError:  # too many: Python's own message says so
+        return None
     for name, value in given.items():
         kind = annotations.get(name, Any)
         if isinstance(kind, str):
