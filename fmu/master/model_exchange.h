@@ -99,8 +99,9 @@ static inline int locate(Exchange *self, double *after, double *end) {
     return 0;
 }
 
-/* Whether a step to a place on the interpolant ends at the state there. It does not where the stages
- * of the interpolant, which no error estimate sees, meet a change that the step passes over. */
+/* Whether a step to a place on the interpolant ends at the state there. It does not where the
+ * stages of the interpolant, which no error estimate sees, meet a change that the step passes over.
+ */
 static inline int confirmed(Exchange *self, double after, const double *end) {
     Slopes k;
     double own[NX];
