@@ -104,7 +104,7 @@ static inline int locate(Exchange *self, double *after, double *end) {
  */
 static inline int confirmed(Exchange *self, double after, const double *end) {
     Slopes k;
-    double own[NX];
+    double own[NX] = {0};
     memcpy(k[0], self->k[0], sizeof k[0]);
     if (stages(&self->ode, self->t, after - self->t, self->x, k, own)) return 0;
     for (int i = 0; i < NX; ++i) own[i] -= end[i];
