@@ -14,6 +14,7 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.lanes import in_lanes
 from cosim.integrate.growth import followed_growth
+from cosim.model.inputs import InputSeries
 
 PUSH, FALLEN = 1e-13, 3.96360057983538  # rad/s2; rad after 30 s, by steps of 1 ms
 LONG = {"stop_time": 3000, "output_interval": 30}
@@ -129,6 +130,20 @@ def test_logistic_growth_begins_from_a_trace(solver):
     run = cosim.simulate(dae, solver=solver, output_interval=1)
     right = 1 / (1 + 1 / (trace * np.expm1(run.time[1:])))
     assert np.abs(run["x"][1:] - right).max() < 1e-4  # before: 0
+
+
+@pytest.mark.parametrize("interval", [0.1, 30.0])
+@pytest.mark.parametrize("solver", [None, "dop853"])
+def test_growth_begins_where_an_input_begins_to_push(solver, interval):
+    model = cosim.Model("pendulum", stop_time=30.0, output_interval=interval)
+    x, v = model.state("x", "rad", 0.0, "angle"), model.state("v", "rad/s", 0.0, "speed")
+    push = model.input("push", "rad/s2", 0.0, "push")
+    model.derivative(x, v)
+    model.derivative(v, RATE * ca.sin(x) - 0.05 * v + push)
+    late = InputSeries(("push",), [0.0, 10.0, 10.0, 30.0], [[0.0], [0.0], [PUSH], [PUSH]])
+    run = cosim.simulate(model.freeze(), solver=solver, inputs=late)
+    right = cosim.simulate(pendulum(stop_time=20))["x"][-1]
+    assert abs(run["x"][-1] - right) < 1e-4  # before: 0
 
 
 def test_growth_of_what_an_algebraic_unknown_pushes_is_seen():

@@ -26,7 +26,7 @@ class Growth(NamedTuple):
 
     Attributes:
         state: Name of the state in which it is largest.
-        time: When it begins, s.
+        time: When it begins at the latest, s.
         growth_time: In which it grows by the factor e, s.
         size: Its size at the beginning, in nominal values.
     """
@@ -180,10 +180,11 @@ def growth_along(path: StatePath, first: int, last: int, absolute: float) -> Gro
     found = list[Growth]()
     for value, direction in zip(values[growing], left.T[growing], strict=True):
         push = np.abs(direction @ f)
-        push = push[push > _ROUNDINGS * np.abs(direction) @ rounding]
-        rate, size = float(value.real), float(push.min(initial=np.inf)) / abs(value)
-        seen = size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute
-        if len(push) and seen:
+        felt = np.flatnonzero(push > _ROUNDINGS * np.abs(direction) @ rounding)
+        if not len(felt):
+            continue
+        rate, size = float(value.real), float(push[felt].min()) / abs(value)
+        if size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute:
             state = path.names[int(np.argmax(np.abs(direction)))]
-            found.append(Growth(state, float(t[first]), 1 / rate, size))
+            found.append(Growth(state, float(t[rows[felt[0]]]), 1 / rate, size))
     return min(found, key=lambda growth: growth.size, default=None)
