@@ -108,6 +108,18 @@ def test_info_shows_the_sizes_of_arrays(path, capsys):
     assert (row["name"], row["dimensions"]) == ("y", [2])
 
 
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_growth_is_followed_in_a_file_without_a_reset(path, master):
+    """The sum of the states grows by x' = 5 x + 1e-13."""
+    values = {"A[1,2]": 5.0, "A[2,1]": 5.0, "u[1]": 1e-13}
+    options = {"interface": "ModelExchange", "master": master, "relative_tolerance": 1e-8}
+    run = cosim.simulate_fmu(
+        path, start_values=values, outputs=["x"], stop_time=8, output_interval=0.5, **options
+    )
+    right = 1e-13 / 10 * math.expm1(40)  # each is a half
+    assert run.final["x[1]"] == pytest.approx(right, rel=1e-4)  # before: 1e18 times as much
+
+
 def test_a_derivative_of_another_shape_than_its_state_is_rejected(path, tmp_path):
     def edit(root):
         state = root.find("ModelVariables/*[@name='x']")

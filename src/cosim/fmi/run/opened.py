@@ -83,6 +83,7 @@ class OpenedFmu:
         closer = growth.closer(request.relative_tolerance)
         if master is Master.C:
             closer = closer._replace(until=request.stop)
+        self._drop()  # the reset of a file of another tool may be incomplete
         try:
             found, _ = self._run(replace(request, closer=closer), master)
         except FmuError:
