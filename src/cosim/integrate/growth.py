@@ -14,7 +14,7 @@ from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.integrate.outputs import derivatives_at
 from cosim.memo import cached_per_thread
-from cosim.model.growth import Closer, StatePath, growth_along, suppressed_growth
+from cosim.model.growth import Closer, StatePath, growth_along, stays_suppressed, suppressed_growth
 from cosim.model.solver import AdaptiveSolver
 from cosim.model.values import own_sizes
 
@@ -33,8 +33,9 @@ def followed_growth(
     if motion.reason:
         return motion
     relative, absolute = solver.tolerance.pair
-    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
-    growth = suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
+    sizes = own_sizes(motion.dae, motion.states[:, 0])
+    steps = motion.counts.steps or 0
+    growth = suppressed_growth(_path(motion, sizes, p), steps, relative, absolute)
     if growth is None:
         return motion
     closer = growth.closer(relative)
@@ -42,7 +43,10 @@ def followed_growth(
     if followed.reason == INTERRUPTED:
         return followed
     found = motion if followed.reason else followed
-    text = growth.note(closer, found is followed)
+    helps = found is followed and not stays_suppressed(
+        _path(found, sizes, p), steps, relative, absolute
+    )
+    text = growth.note(closer, helps)
     return replace(found, note="; ".join(filter(None, (found.note, text))))
 
 

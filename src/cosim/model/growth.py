@@ -117,6 +117,22 @@ def suppressed_growth(
     return min(filter(None, found), key=lambda growth: growth.size, default=None)
 
 
+def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
+    """Return whether a motion is a line where a deviation would long have become visible.
+
+    A smaller absolute tolerance helps where the relative one does not hide the deviation.
+
+    Args:
+        path, steps, relative, absolute: See `suppressed_growth`; of a run that follows deviations.
+    """
+    spans = _straight(path, _rows_per_step(path.time, steps), relative, absolute * path.sizes)
+    lines = (
+        (replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1]), first, last)
+        for first, last in spans
+    )
+    return any(growth_along(*line, absolute / relative) for line in lines)
+
+
 def _first_line(path: StatePath, relative: float, absolute: float) -> StatePath | None:
     """Return the longest line from the start that is one to the tolerance, and the path's end."""
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
@@ -180,11 +196,11 @@ def growth_along(path: StatePath, first: int, last: int, absolute: float) -> Gro
     found = list[Growth]()
     for value, direction in zip(values[growing], left.T[growing], strict=True):
         push = np.abs(direction @ f)
-        felt = np.flatnonzero(push > _ROUNDINGS * np.abs(direction) @ rounding)
-        if not len(felt):
+        rising = np.flatnonzero(push > _ROUNDINGS * np.abs(direction) @ rounding)
+        if not len(rising):
             continue
-        rate, size = float(value.real), float(push[felt].min()) / abs(value)
+        rate, size = float(value.real), float(push[rising].min()) / abs(value)
         if size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute:
             state = path.names[int(np.argmax(np.abs(direction)))]
-            found.append(Growth(state, float(t[rows[felt[0]]]), 1 / rate, size))
+            found.append(Growth(state, float(t[rows[rising[0]]]), 1 / rate, size))
     return min(found, key=lambda growth: growth.size, default=None)
