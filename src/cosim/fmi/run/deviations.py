@@ -8,7 +8,7 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.request import FmuRequest
-from cosim.model.growth import Growth, StatePath, suppressed_growth
+from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
 
 _STEP = float(np.cbrt(np.finfo(float).eps))  # of a central difference, in sizes of its state
 
@@ -22,13 +22,15 @@ class Deviations:
         clock: Sets time and inputs.
 
     Attributes:
-        found: The smallest deviation that grows unseen; None if there is none.
+        found: The smallest deviation that grows unseen, or that stays suppressed in a run that
+            follows it; None if there is none.
     """
 
     def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
         self._instance, self._clock = instance, clock
         self._names = _state_names(request.description)
         self._tolerance = request.relative_tolerance
+        self._follows = request.closer is not None
         self.found: Growth | None = None
         self._rows: list[tuple[float, Vector]] = []
 
@@ -55,7 +57,10 @@ class Deviations:
             lambda times, states: np.array([*map(self._rates, times, states.T)]).T,
             self._slopes,
         )
-        found = suppressed_growth(path, steps, self._tolerance, self._tolerance)
+        tolerances = self._tolerance, self._tolerance
+        found = suppressed_growth(path, steps, *tolerances)
+        if self._follows and found and not stays_suppressed(path, steps, *tolerances):
+            found = None
         self._rates(*rows[-1])
         if found and (self.found is None or found.size < self.found.size):
             self.found = found

@@ -85,10 +85,10 @@ class OpenedFmu:
             closer = closer._replace(until=request.stop)
         self._drop()  # the reset of a file of another tool may be incomplete
         try:
-            found, _ = self._run(replace(request, closer=closer), master)
+            found, left = self._run(replace(request, closer=closer), master)
         except FmuError:
-            found = run
-        notes = found.stats.get("note"), growth.note(closer, found is not run)
+            found, left = run, growth
+        notes = found.stats.get("note"), growth.note(closer, left is None)
         return replace(found, stats={**found.stats, "note": "; ".join(filter(None, notes))})
 
     def _run(self, request: FmuRequest, master: Master) -> tuple[Trajectory, Growth | None]:
