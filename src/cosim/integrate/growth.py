@@ -104,7 +104,9 @@ def growing_starts(
     rate, of_x = np.array(equations(dae)(*known)[0]), np.array(_slopes_of_ode(dae)(*known))
     slopes = of_x.reshape(len(x), len(found), len(x)).transpose(1, 0, 2)
     slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0
-    fastest = np.linalg.eigvals(slopes).real.max(axis=1)
+    own, which = np.unique(slopes.reshape(len(found), -1), axis=0, return_inverse=True)
+    values = np.linalg.eigvals(own.reshape(-1, *slopes.shape[1:]))
+    fastest = values.real.max(axis=1)[which.ravel()]
     for i in np.flatnonzero(fastest * (straight - begin) > 1):
         at = np.array([begin, straight[i], end])
         line = x[:, [i]] + rate[:, [i]] * (at - begin)
