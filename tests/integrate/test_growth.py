@@ -132,7 +132,7 @@ def test_logistic_growth_begins_from_a_trace(solver):
     assert np.abs(run["x"][1:] - right).max() < 1e-4  # before: 0
 
 
-@pytest.mark.parametrize("runner", ["cvodes", "dop853", "fmpy", "c"])
+@pytest.mark.parametrize("runner", ["cvodes", "dop853", "lanes", "fmpy", "c"])
 def test_growth_that_the_relative_tolerance_hides_is_not_said_to_be_followed(runner, tmp_path):
     model = cosim.Model("far", stop_time=30.0, output_interval=0.3)
     x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
@@ -142,6 +142,11 @@ def test_growth_that_the_relative_tolerance_hides_is_not_said_to_be_followed(run
     if runner in ("fmpy", "c"):
         path = cosim.export_fmu(dae, tmp_path / "far.fmu")
         run = cosim.simulate_fmu(path, interface="ModelExchange", master=runner)
+    elif runner == "lanes":
+        many = cosim.simulate_many(dae, {"x": [1.0, 2.0]})
+        run = many.run(0)  # before: without a note
+        assert list(many.notes) == [0]
+        assert "1 with a note, the first one: run 0: from 0 s on" in repr(many)
     else:
         run = cosim.simulate(dae, solver=runner)
     assert "it may be suppressed" in run.stats["note"]  # before: it is followed; 1, 1.8e18

@@ -59,6 +59,7 @@ class Ensemble:
             ...
         drawing: The drawing of the model; None if unknown.
         numbers: Parameters and constant inputs that were not varied, SI; None if unknown.
+        notes: What a run differs in from the request, or may have missed, by position of the run.
         with_events: Runs with events, by position, with these and the row of one that ended them.
         again: Computes runs without events, given by their positions, at other times: values,
             (positions, times, columns); None if they cannot be computed again.
@@ -85,6 +86,7 @@ class Ensemble:
     stats: Mapping[str, Any] = field(default_factory=dict)
     drawing: Drawing | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
+    notes: Mapping[int, str] = field(default_factory=dict)
     with_events: Mapping[int, Trajectory] = field(default_factory=dict, repr=False)
     again: Callable[[Vector, Integers], Vector] | None = field(default=None, repr=False)
 
@@ -148,6 +150,7 @@ class Ensemble:
             steps=rows(self.steps, others.steps),
             rhs_calls=rows(self.rhs_calls, others.rhs_calls),
             error=rows(self.error, others.error),
+            notes=facts(self.notes, others.notes),
             with_events=facts(self.with_events, others.with_events),
         )
 
@@ -160,6 +163,8 @@ class Ensemble:
         stats |= {"rhs_calls": int(self.rhs_calls[i])}
         if i in self.invalid:
             stats["invalid"] = [self.invalid[i]]
+        if i in self.notes:
+            stats["note"] = self.notes[i]
         status = "complete" if self.states[i] is RunState.COMPLETE else self.reasons[i]
         numbers = drawing = None
         if self.numbers is not None:
@@ -226,6 +231,10 @@ class Ensemble:
         if notable:
             first = f"run {notable[0]}: {sentence(self.reason(notable[0]))}"
             lines.append(f"{len(notable)} with a reason, the first one: {first}")
+        if self.notes:
+            number, note = next(iter(self.notes.items()))
+            first = f"run {number}: {sentence(note)}"
+            lines.append(f"{len(self.notes)} with a note, the first one: {first}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

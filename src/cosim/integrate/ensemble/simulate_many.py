@@ -217,6 +217,7 @@ def one_by_one(
     table = np.full((runs, len(time), len(columns)), np.nan)
     states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
     counts, with_events = np.zeros((3, runs), dtype=np.int64), dict[int, Trajectory]()
+    notes = dict[int, str]()
     for number in range(runs):
         reasons[number] = "interrupted"
         if interrupted:
@@ -250,6 +251,8 @@ def one_by_one(
         counts[:, number] = (n, *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
         if "invalid" in found.stats:
             invalid[number] = found.stats["invalid"][0]
+        if found.stats.get("note"):
+            notes[number] = found.stats["note"]
     return Ensemble(
         model,
         time,
@@ -263,5 +266,6 @@ def one_by_one(
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
+        notes=notes,
         with_events=with_events,
     )
