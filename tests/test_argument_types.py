@@ -1,6 +1,7 @@
 """Python calls with arguments of the wrong type: a `CosimError` in one line, never numpy's own."""
 
 import inspect
+import io
 import pickle
 from contextlib import suppress
 from functools import partial
@@ -370,3 +371,13 @@ def test_public_function_can_be_sent_to_other_processes(name):
 def test_too_many_arguments_are_answered_by_python():
     with pytest.raises(TypeError, match=r"simulate\(\) takes .* were given"):
         cosim.simulate("bicycle", 1.0)
+
+
+def test_a_file_that_cannot_be_written_is_no_argument_of_a_wrong_type():
+    class Full(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError(text[:4])
+
+    run = cosim.simulate("crank_shaft", stop_time=1)
+    with pytest.raises(BrokenPipeError):  # before: UsageError, give a TextIO
+        run.to_csv(Full())

@@ -6,7 +6,7 @@ from contextlib import suppress
 from inspect import Parameter, isclass, signature
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import IO, Any, BinaryIO, TextIO, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,6 +86,8 @@ def _fits(value: Any, kind: Any) -> bool:
         return _is_iterable(value) and all(_fits(part, each) for each in parts for part in value)
     if own is Callable:
         return callable(value)
+    if own in (IO, TextIO, BinaryIO):  # of which no file is an instance
+        return hasattr(value, "read") or hasattr(value, "write")
     return not isclass(own) or getattr(own, "_is_protocol", False) or isinstance(value, own)
 
 
