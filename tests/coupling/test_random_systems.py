@@ -75,10 +75,12 @@ def test_files_of_others_with_fewer_abilities_are_as_accurate_as_asked(seed, tmp
     assert_accurate(system, drawn.solution)
 
 
-LACKING = ["", "no rates", "no rollback", "no rollback, no rates"]
+SWITCHED_OFF = ["", "no rates", "no rollback", "no rollback, no rates"]
 
 
-@pytest.mark.parametrize("lacking", [dict.fromkeys("ab", t) if t else {} for t in LACKING], ids=str)
+@pytest.mark.parametrize(
+    "lacking", [dict.fromkeys("ab", t) if t else {} for t in SWITCHED_OFF], ids=str
+)
 def test_the_estimate_is_above_the_error_of_a_loop_of_feedthrough(lacking):
     """Lags x' = u - x, y = x + k u in a loop; the matrix exponential as reference."""
     parts, gains, starts = {}, {"a": -1.5, "b": 1.0}, {"a": 1.0, "b": 0.6}
