@@ -32,9 +32,7 @@ DRIVER = r"""
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
-#include "equations.h"
-#include "fmi2Functions.h"
-#include "model.h"
+#include "fmu.c"
 
 static double now(void) {
     struct timespec t;
@@ -191,11 +189,11 @@ def c_loop(fmu: Path, folder: Path) -> ctypes.CDLL:
     sources = folder / "sources"
     (sources / "driver.c").write_text(DRIVER)
     library = folder / "driver.so"
-    files = [str(sources / "fmu.c"), str(sources / "driver.c")]
     compiler = find_compiler()
     options = [*FLAGS, *native_target().options(library.name, compiler), "-std=gnu11"]
     folders = [f"-I{fmi_headers()}", f"-I{sources}"]
-    call = [*compiler, *options, *folders, *files, "-o", str(library), "-lm"]
+    driver = str(sources / "driver.c")  # in one unit with the FMU, whose functions are static
+    call = [*compiler, *options, *folders, driver, "-o", str(library), "-lm"]
     subprocess.run(call, check=True)
     return ctypes.CDLL(str(library))
 
