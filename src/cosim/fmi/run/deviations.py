@@ -10,6 +10,7 @@ from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.request import FmuRequest
 from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
 
+_MOST_ROWS = 20_000  # of which every second one is dropped
 _STEP = float(np.cbrt(np.finfo(float).eps))  # of a central difference, in sizes of its state
 
 
@@ -38,6 +39,8 @@ class Deviations:
         """Note the present states."""
         if self._names:
             self._rows.append((time, self._block(self._instance.getContinuousStates)))
+        if len(self._rows) > _MOST_ROWS:
+            del self._rows[1:-1:2]
 
     def judge(self, steps: int) -> None:
         """Look back over the motion since the last event, and begin anew.
