@@ -56,7 +56,7 @@ class Motion:
     algebraics: Vector
     u: Vector
     counts: Counts
-    reason: Ending = Ending()  # noqa: RUF009
+    reason: Ending = Ending()  # noqa: RUF009 (a text, which nothing changes)
     solve_time: float | None = None
     events: list[EventRecord] = field(default_factory=list)
     stop: str = ""

@@ -6,13 +6,13 @@ from functools import partial
 from math import isfinite
 from time import perf_counter
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Drawing
 from cosim.arrays import Vector
 from cosim.codegen.compiler import time_compiling
+from cosim.codegen.functions import equations
 from cosim.errors import CosimError, Interrupted, SolverError
 from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED, RunStats
@@ -79,9 +79,9 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
 
 def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
     """Return the first state whose derivative is not finite at the start; empty if none."""
-    rates = ca.Function("rates", dae.arguments, [dae.ode])
     values = start.values
-    missing = ~np.isfinite(np.array(rates(t, start.x, start.z, values.u, values.p)).ravel())
+    rates = equations(dae)(t, start.x, start.z, values.u, values.p)[0]
+    missing = ~np.isfinite(np.array(rates).ravel())
     return dae.states[int(np.argmax(missing))].name if missing.any() else ""
 
 
