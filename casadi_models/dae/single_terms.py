@@ -16,7 +16,6 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
 }  # fmt: skip
 # Of several quantities; quotients and powers bend near poles, beside which a motion is slow
 _RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
-FARTHEST = 1e6  # from 0, of what moves: SI units
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
 

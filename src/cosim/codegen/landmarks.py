@@ -16,13 +16,13 @@ from casadi import SX
 
 from casadi_models.dae import Dae, Variable
 from casadi_models.dae.inner_terms import InnerTerm, inner_terms, inner_terms_of_several
-from casadi_models.dae.single_terms import FARTHEST
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Vector
 from cosim.codegen.changes import FLAT, NOTHING, apart, changes_between, changing_parts
 from cosim.codegen.pulses import parted
 from cosim.memo import cached_per_thread
 
+_FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
 _INNER = 1_000  # samples of a change
@@ -77,25 +77,25 @@ def landmarks(dae: Dae) -> Landmarks:
         dae: The model, with frozen relations.
     """
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
-    changes, unknown = dict[int, dict[tuple[int, bytes], _Change]](), set[int]()
-    for term in inner_terms(dae):  # one that has different factors in two equations is one
+    every_change, unknown = list[_Change](), set[int]()
+    for term in inner_terms(dae):
         knots = knots_of(term)
         of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
         if term.tables and of_tables and not len(knots):
             unknown.add(term.moving)
-        for change in _changes(dae, term, knots, p):
-            key = term.variable.element_hash(), change.places.tobytes()
-            changes.setdefault(term.moving, {}).setdefault(key, change)
+        every_change += _changes(dae, term, knots, p)
     names, found = [*(state.name for state in dae.states), "time"], list[str]()
     passed = [names[moving] for moving in sorted(unknown)]
     for terms in inner_terms_of_several(dae):
         across = _changes_of_several(dae, terms, p)
         if across is None:
             passed.append(", ".join(names[term.moving] for term in terms))
-            continue
-        for change in across:
-            key = change.term.variable.element_hash(), change.places.tobytes()
-            changes.setdefault(change.term.moving, {}).setdefault(key, change)
+        else:
+            every_change += across
+    changes = dict[int, dict[tuple[int, bytes], _Change]]()
+    for change in every_change:  # one that has different factors in two equations is one
+        key = change.term.variable.element_hash(), change.places.tobytes()
+        changes.setdefault(change.term.moving, {}).setdefault(key, change)
     rows, times, given = list[SX](), [np.empty(0)], set[str]()
     for moving, own in changes.items():
         steps = sum(change.is_step for change in own.values())
@@ -133,7 +133,7 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
     bounds = bounds_along(term.value, symbol, [dae.p], length)
     if bounds is not None:
         ends = ca.Function("bend", [symbol, length, dae.p], list(bounds), {"cse": True})
-        edges = np.array([-FARTHEST, FARTHEST])
+        edges = np.array([-_FARTHEST, _FARTHEST])
 
         def bend(begins: Vector, widths: Vector) -> Vector:
             both = [np.array(end).ravel() for end in ends(begins[None], widths[None], p)]
@@ -170,12 +170,12 @@ def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> li
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
     def width(row: int, low: float, high: float) -> float:
-        least, most = np.full(len(terms), -FARTHEST), np.full(len(terms), FARTHEST)
+        least, most = np.full(len(terms), -_FARTHEST), np.full(len(terms), _FARTHEST)
         least[row], most[row] = low, high
         ends = (float(end) for end in bounds(least, most, p))
         return float(np.diff([*ends])[0])
 
-    size = width(0, -FARTHEST, FARTHEST)
+    size = width(0, -_FARTHEST, _FARTHEST)
     if not np.isfinite(size):
         return []
 
@@ -185,14 +185,14 @@ def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> li
     found = list[_Change]()
     for row, term in enumerate(terms):
         first, last = (
-            _last_flat(partial(rests, row), sign * FARTHEST, -sign * FARTHEST) for sign in (-1, 1)
+            _last_flat(partial(rests, row), sign * _FARTHEST, -sign * _FARTHEST) for sign in (-1, 1)
         )
         if first is not None and last is not None and first < last:
             found.append(_Change(term, np.linspace(first, last, _ACROSS), is_step=False))
     if found:
         return found
     value = ca.Function("value", [symbols, dae.p], [terms[0].value])
-    corners = FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
+    corners = _FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
     seen = np.array(value(corners, p)).ravel()
     is_slope = np.abs(np.diff(seen.reshape(2, -1), axis=0)) >= _SEEN * size
     return [] if is_slope.any() else None
