@@ -219,6 +219,13 @@ def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
     return part, parts[part].variable(variable).name
 
 
+def free_name(parts: Mapping[str, Part], name: str) -> str:
+    """Return a name that no part has: the given one, or one with underscores behind it."""
+    while name in parts:
+        name += "_"
+    return name
+
+
 def split_key(name: str) -> tuple[str, str]:
     """Return part and variable of "part.variable"; names of parts have no dot."""
     part, _, variable = name.partition(".")

@@ -1,9 +1,8 @@
 """`Signals`: a part of a system that drives inputs by formulas of time and tables."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from typing import Any
 
 from casadi_models.dae import Dae, Model
@@ -11,7 +10,7 @@ from casadi_models.dae.coupled import Connection
 from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.coupling.connectors import Connector, End
-from cosim.coupling.part import Part, part_of
+from cosim.coupling.part import Part, free_name, part_of
 from cosim.coupling.values import target
 from cosim.errors import UsageError
 from cosim.integrate.keywords import requested
@@ -62,7 +61,7 @@ class Signals:
         elif not isinstance(inputs, Mapping):
             expected = "what cosim.read_inputs returns, or values by name, e.g. {'a.u': 'sin(t)'}"
             raise UsageError.of_type(f"{owner}: inputs", inputs, expected)
-        name = next(name for name in _names() if name not in parts)
+        name = free_name(parts, "inputs")
         model = Model("inputs", description="inputs of a system", source="formulas and tables")
         laws, wires = dict[str, Any](), list[Connection]()
         for text, law in inputs.items():
@@ -82,11 +81,6 @@ class Signals:
         names = [name for name in run.names if not name.startswith(prefix)]
         events = tuple(e for e in run.events if not e.name.startswith(f"{self.name}: "))
         return replace(run.select(names), events=events)
-
-
-def _names() -> Iterator[str]:
-    yield "inputs"
-    yield from (f"inputs_{i}" for i in count(2))
 
 
 def _driven(

@@ -17,7 +17,7 @@ from cosim.coupling.connectors import Connector, with_outputs
 from cosim.coupling.failures import EndlessEvents
 from cosim.coupling.merged import Merged, sliding_parts
 from cosim.coupling.opened_part import Ability
-from cosim.coupling.part import Part, split_key, split_name, undefined_units
+from cosim.coupling.part import Part, free_name, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
 from cosim.coupling.signals import Signals
 from cosim.coupling.values import values_of
@@ -78,10 +78,10 @@ class System:
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     places: Mapping[str, str] = field(default_factory=dict, repr=False)
     unused: Mapping[str, tuple[Ability, ...]] = field(default_factory=dict)
-    _open: ExitStack = field(default_factory=ExitStack, repr=False)
-    _merged: dict[tuple[str, ...], "System"] = field(default_factory=dict, repr=False)
-    _folders: list[Path] = field(default_factory=list, repr=False)
-    _lock: RLock = field(default_factory=RLock, repr=False)
+    _open: ExitStack = field(default_factory=ExitStack, init=False, repr=False)
+    _merged: dict[tuple[str, ...], "System"] = field(default_factory=dict, init=False, repr=False)
+    _folders: list[Path] = field(default_factory=list, init=False, repr=False)
+    _lock: RLock = field(default_factory=RLock, init=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return pickled(self, self._folders)
@@ -248,10 +248,6 @@ class System:
             connections=(*self.connections, *signals.connections),
             start_values={n: v for n, v in self.start_values.items() if n not in driven},
             open_inputs=self.open_inputs | own,
-            _open=ExitStack(),
-            _merged={},
-            _folders=[],
-            _lock=RLock(),
         )
 
     def _simulated(
@@ -332,10 +328,7 @@ class System:
         given: dict[tuple[str, str], float],
         recorded: Sequence[tuple[str, str]],
     ) -> Trajectory:
-        whole = "_".join(names)
-        while whole in self.parts:
-            whole += "_"
-        merged = Merged(names, whole)
+        merged = Merged(names, free_name(self.parts, "_".join(names)))
         if names not in self._merged:
             own = merged.changes(self.parts, self.connections, self.start_values, self.unused)
             self._merged[names] = System(self.name, **own)
