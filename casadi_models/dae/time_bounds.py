@@ -76,20 +76,25 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
 
 
 def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:
-    """Return bounds of the second derivative of an expression; None where no rule tells them.
+    """Return how far an expression may be from a line; None where no rule tells it.
 
     Args:
         value: An expression, (1, 1).
         moving: The symbol that goes from its value on over a length.
         others: Columns of symbols that stay.
         length: Symbol of the length.
+
+    Returns:
+        The bound by its second derivative, and that by its values; both hold, but for NaN.
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
+    rows = ca.densify(ca.vertcat(second, value))
     try:
-        (span,) = _spans(ca.densify(second), [moving, *others], _from_here(length))
+        bend, own = _spans(rows, [moving, *others], _from_here(length))
     except _UnknownError:
         return None
-    return span.low, span.high
+    most = ca.fmax(ca.fabs(bend.low), ca.fabs(bend.high))
+    return most * length**2 / 8, own.high - own.low
 
 
 def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX, SX] | None:

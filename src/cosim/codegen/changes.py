@@ -1,4 +1,4 @@
-"""`changing_parts`: where a function bends, from bounds of its second derivative."""
+"""`changing_parts`: where a function bends, from bounds of how far it is from a line."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,6 +11,8 @@ _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
 _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
 _SAMPLES = 64  # of a cell, without bounds
+_GRADE = 4  # length of a part, in that of a neighbor
+_ROUNDINGS = 64  # within which edges are one
 
 
 class Changes(NamedTuple):
@@ -33,15 +35,15 @@ NOTHING = Changes([], np.nan, np.nan, is_whole=False)
 
 def changing_parts(
     values: Callable[[Vector], Vector],
-    bend: Callable[[Vector, Vector], Vector],
+    beyond: Callable[[Vector, Vector], Vector],
     edges: Vector,
 ) -> Changes:
     """Return where a function bends within cells of its variable.
 
     Args:
         values: Returns the function at values of the variable.
-        bend: Returns bounds of the size of the second derivative, from the begins of cells and
-            their widths.
+        beyond: Returns how far the function may be from a line, at most, from the begins of cells
+            and their widths.
         edges: Ends of the cells, ascending.
     """
     ends = values(edges)
@@ -50,7 +52,7 @@ def changing_parts(
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
     begins, widths = edges[:-1], np.diff(edges)
     least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
-    off = _off(bend, begins, widths)
+    off = _off(beyond, begins, widths)
     for _ in range(_MOST_ROUNDS):
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
         if not len(bent) or len(begins) > _MOST_CELLS:
@@ -62,7 +64,7 @@ def changing_parts(
         low, high = float(np.nanmin([low, *inner])), float(np.nanmax([high, *inner]))
         keep = np.delete(np.arange(len(begins)), bent)
         new = np.concatenate((begins[bent], middles))
-        off = np.concatenate((off[keep], _off(bend, new, np.tile(half, 2))))
+        off = np.concatenate((off[keep], _off(beyond, new, np.tile(half, 2))))
         begins, widths = np.append(begins[keep], new), np.append(widths[keep], np.tile(half, 2))
         least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
         halved[len(keep) :] = True
@@ -74,9 +76,8 @@ def changing_parts(
     )
 
 
-def _off(bend: Callable[[Vector, Vector], Vector], begins: Vector, widths: Vector) -> Vector:
-    """Return how far a function may be from a line within cells."""
-    off = bend(begins, widths) * widths**2 / 8
+def _off(beyond: Callable[[Vector, Vector], Vector], begins: Vector, widths: Vector) -> Vector:
+    off = beyond(begins, widths)
     return np.asarray(np.where(np.isnan(off), np.inf, off))
 
 
@@ -111,12 +112,35 @@ def sampled_changes(values: Callable[[Vector], Vector], edges: Vector, knots: Ve
     return Changes(parts, float(seen.min()), float(seen.max()), is_whole=True)
 
 
-def apart(parts: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return parts, of which those are one between which there is less room than each takes."""
-    found = list[tuple[float, float]]()
+def apart(parts: list[tuple[float, float]]) -> list[Vector]:
+    """Return the edges of parts; those are together between which is less room than each takes."""
+    found = list[list[float]]()
     for a, b in parts:
-        if found and a - found[-1][1] <= min(found[-1][1] - found[-1][0], b - a):
-            found[-1] = (found[-1][0], b)
+        if found and a - found[-1][-1] <= min(found[-1][-1] - found[-1][0], b - a):
+            found[-1] += [a, b]
         else:
-            found.append((a, b))
-    return found
+            found.append([a, b])
+    return [np.unique(edges) for edges in found]
+
+
+def with_surroundings(edges: Vector, count: int) -> Vector:
+    """Return places: in each part between edges, and as far before and after as all are long.
+
+    Parts are halved that are much longer than their neighbors, by whose ends they may change.
+
+    Args:
+        edges: Ascending, (n,).
+        count: Equal intervals in each part.
+    """
+    length = edges[-1] - edges[0]
+    every = np.concatenate(([edges[0] - length], edges, [edges[-1] + length]))
+    every = every[np.append(True, np.diff(every) > _ROUNDINGS * np.spacing(np.abs(every[1:])))]
+    while True:
+        gaps = np.diff(every)
+        around = np.concatenate(([np.inf], gaps, [np.inf]))
+        long = gaps > _GRADE * np.minimum(around[:-2], around[2:])
+        if not long.any():
+            break
+        every = np.union1d(every, (every[:-1] + every[1:])[long] / 2)
+    inner = every[:-1, None] + gaps[:, None] * np.arange(count) / count
+    return np.append(inner, every[-1])

@@ -18,14 +18,21 @@ from casadi_models.dae import Dae, Variable
 from casadi_models.dae.inner_terms import InnerTerm, inner_terms, inner_terms_of_several
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Vector
-from cosim.codegen.changes import FLAT, NOTHING, apart, changes_between, changing_parts
+from cosim.codegen.changes import (
+    FLAT,
+    NOTHING,
+    apart,
+    changes_between,
+    changing_parts,
+    with_surroundings,
+)
 from cosim.codegen.pulses import parted
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
-_INNER = 1_000  # samples of a change
+_INNER = 64  # samples of a part of a change
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
 _HALVINGS = 100  # of the way to such a part
@@ -132,22 +139,20 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
 
     bounds = bounds_along(term.value, symbol, [dae.p], length)
     if bounds is not None:
-        ends = ca.Function("bend", [symbol, length, dae.p], list(bounds), {"cse": True})
+        off = ca.Function("beyond", [symbol, length, dae.p], list(bounds), {"cse": True})
         edges = np.array([-_FARTHEST, _FARTHEST])
 
-        def bend(begins: Vector, widths: Vector) -> Vector:
-            both = [np.array(end).ravel() for end in ends(begins[None], widths[None], p)]
-            return np.asarray(np.abs(both).max(axis=0))
+        def beyond(begins: Vector, widths: Vector) -> Vector:
+            return np.fmin(*(np.array(o).ravel() for o in off(begins[None], widths[None], p)))
 
-        found = changing_parts(values, bend, edges)
+        found = changing_parts(values, beyond, edges)
     else:
         found = changes_between(values, knots) if len(knots) > 1 else NOTHING
     if not found.is_whole:
         return []
     changes = list[_Change]()
-    for begin, end in apart(found.parts):
-        reach = end - begin
-        at = np.linspace(begin - reach, end + reach, _INNER)
+    for edges in apart(found.parts):
+        at = with_surroundings(edges, _INNER)
         seen = values(at)
         places = parted(at, seen, found.high - found.low)
         places = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]

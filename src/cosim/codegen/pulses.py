@@ -93,6 +93,8 @@ def parted(t: Vector, values: Vector, size: float) -> Vector:
     The values are those of the term at the times, and the size is its range in the run.
     """
     size = max(size, float(np.ptp(values)))
+    if not size:
+        return t[[0, -1]]
     change = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(values))))) / size
     first, last = np.interp([_ENDS, change[-1] - _ENDS], change, t)
     way = change + np.clip((t - first) / max(last - first, np.spacing(last)), 0, 1)

@@ -16,7 +16,7 @@ from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import FLAT, apart
-from cosim.integrate.motion import Motion
+from cosim.integrate.motion import Path
 from cosim.memo import cached_per_thread
 
 _PARTS = 4  # of an average step, at whose ends a term is seen by every step
@@ -42,9 +42,9 @@ class SeveralTerms:
     names: tuple[str, ...]
     unbounded: tuple[str, ...]
 
-    def along(self, term: int, p: Vector, motion: Motion, times: Vector) -> Vector:
-        """Return a term at times of a motion, (n,)."""
-        return np.array(self.values(_moved(motion, times), p))[term, : len(times)]
+    def along(self, term: int, p: Vector, path: Path) -> Vector:
+        """Return a term on a path, (n,)."""
+        return np.array(self.values(path.moved, p))[term, : len(path.time)]
 
 
 @cached_per_thread(32)
@@ -77,41 +77,34 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
     )
 
 
-def _moved(motion: Motion, times: Vector) -> Vector:
-    """Return time, states, unknowns and inputs on lines between rows, (n, times)."""
-    return np.vstack((times, *(np.interp(times, motion.time, row) for row in motion.moving)))
-
-
-def excursions(
-    terms: SeveralTerms, motion: Motion, p: Vector, steps: int
-) -> list[tuple[int, float, float]]:
-    """Return where terms are no lines within a part of an average step: a term, begin and end, s.
+def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[tuple[int, Vector]]:
+    """Return where terms are no lines within a part of an average step: a term, and edges, s.
 
     Args:
         terms: The terms.
-        motion: With at least two rows in an average step.
+        path: With at least two rows in an average step.
         p: Parameters.
         steps: Number of steps.
     """
-    nodes = np.linspace(motion.time[0], motion.time[-1], _PARTS * steps + 1)
-    at_nodes = _moved(motion, nodes)
-    seen = np.array(terms.values(at_nodes, p))[:, : len(nodes)]
-    bend = _bend(motion, nodes)
-    found = list[tuple[int, float, float]]()
-    for term in range(len(terms.names)):
-        spans = _of_term(terms, term, motion, p, nodes, seen[term], bend)
-        found += [(term, begin, end) for begin, end in spans]
-    return found
+    nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
+    seen = np.array(terms.values(path.at(nodes).moved, p))[:, : len(nodes)]
+    bend = _bend(path, nodes)
+    return [
+        (term, edges)
+        for term in range(len(terms.names))
+        for edges in _of_term(terms, term, path, p, nodes, seen[term], bend)
+    ]
 
 
-def _bend(motion: Motion, nodes: Vector) -> Vector:
+def _bend(path: Path, nodes: Vector) -> Vector:
     """Return how far what moves may be from lines between rows near nodes, (n, nodes)."""
-    own = _moved(motion, motion.time)
+    own = path.moved
     off = np.zeros_like(own)
     if own.shape[1] > 2:
         off[:, 1:-1] = np.abs(own[:, 2:] - 2 * own[:, 1:-1] + own[:, :-2]) / 4
         off[:, [0, -1]] = off[:, [1, -2]]
-    return np.vstack([np.interp(nodes, motion.time, row) for row in off])
+    rows = np.clip(path.time.searchsorted(nodes, "right") - 1, 0, own.shape[1] - 2)
+    return np.maximum(off[:, rows], off[:, rows + 1])
 
 
 @dataclass
@@ -148,18 +141,18 @@ class _Parts:
 def _of_term(
     terms: SeveralTerms,
     term: int,
-    motion: Motion,
+    path: Path,
     p: Vector,
     nodes: Vector,
     seen: Vector,
     bend: Vector,
-) -> list[tuple[float, float]]:
-    """Return where a term leaves its line between two nodes: begins and ends, s."""
+) -> list[Vector]:
+    """Return where a term leaves its line between two nodes: edges of parts, s."""
 
     def beyond(parts: _Parts) -> Vector:
         if not len(parts.begins):
             return np.empty(0)
-        first, last = _moved(motion, parts.begins), _moved(motion, parts.ends)
+        first, last = path.at(parts.begins).moved, path.at(parts.ends).moved
         span = np.minimum(first, last) - parts.pads, np.maximum(first, last) + parts.pads
         bounds = (np.array(end)[term, : len(parts.begins)] for end in terms.bounds(*span, p))
         least, most = bounds
@@ -177,7 +170,7 @@ def _of_term(
             break
         wide = wide[np.argsort(-off[wide], kind="stable")[:_AT_ONCE]]
         own, keep = parts.at(wide), np.delete(np.arange(len(off)), wide)
-        value = terms.along(term, p, motion, own.middles)
+        value = terms.along(term, p, path.at(own.middles))
         size = max(size, float(np.ptp([*seen, *value])))
         halves = own.halves(value)
         off = np.append(off[keep], beyond(halves))

@@ -1,14 +1,13 @@
 """`Motion`: what an integration over a grid of times found, with its events."""
 
 from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
+from cosim.arrays import Integers, Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import algebraic_function
 from cosim.integrate.engine import Counts
@@ -63,11 +62,87 @@ class Motion:
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
 
-    @cached_property
-    def moving(self) -> Vector:
-        """States, algebraic unknowns and inputs, (rows, n)."""
-        u = np.broadcast_to(self.u, (len(self.u), len(self.time)))
-        return np.vstack((self.states, self.algebraics, u))
+
+class Path(NamedTuple):
+    """What moves in a motion, and at which rates.
+
+    Attributes:
+        time: s, (n,), not descending: an instant with an event has a row before and one after it.
+        states: (nx, n).
+        rates: dx/dt, (nx, n).
+        others: Algebraic unknowns and inputs, (rows, n), lines in time.
+    """
+
+    time: Vector
+    states: Vector
+    rates: Vector
+    others: Vector
+
+    @staticmethod
+    def of(motion: Motion, p: Vector) -> "Path":
+        """Return the path of a motion through its rows and its instants."""
+        n, sides = len(motion.time), [side for pair in motion.instants for side in pair]
+        u = np.broadcast_to(motion.u, (len(motion.u), n))
+        if sides:
+            times = np.append([side.t for side in sides], motion.time)
+            order = np.argsort(times, kind="stable")
+            rows = (
+                ([getattr(side, name) for side in sides], own)
+                for name, own in (("x", motion.states), ("z", motion.algebraics), ("inputs", u))
+            )
+            columns = (np.hstack((np.array(seen).T, own))[:, order] for seen, own in rows)
+            states, algebraics, u = columns
+            motion = replace(motion, time=times[order], states=states, algebraics=algebraics, u=u)
+        rates = rates_at(motion, slice(None), p)
+        return Path(motion.time, motion.states, rates, np.vstack((motion.algebraics, u)))
+
+    @property
+    def moved(self) -> Vector:
+        """Time, states, unknowns and inputs, (rows, n)."""
+        return np.vstack((self.time, self.states, self.others))
+
+    def at(self, times: Vector) -> "Path":
+        """Return the path at other times: the states by cubics, where their rates are finite."""
+        rows = np.clip(self.time.searchsorted(times, "right") - 1, 0, len(self.time) - 2)
+        h = self.time[rows + 1] - self.time[rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.where(h > 0, np.clip((times - self.time[rows]) / h, 0, 1), 1)
+        change, begin, end = self._slopes(rows)
+        states = self.states[:, rows] + s * (
+            change + (1 - s) * ((1 - s) * (begin - change) - s * (end - change))
+        )
+        first, last = self.rates[:, rows], self.rates[:, rows + 1]
+        others = self.others[:, rows] + s * (self.others[:, rows + 1] - self.others[:, rows])
+        return Path(times, states, first + s * (last - first), others)
+
+    def with_turns(self, row: int) -> "Path":
+        """Return the path with the times at which a state turns; unchanged for one of time."""
+        if row >= len(self.states):
+            return self
+        change, begin, end = (slope[row] for slope in self._slopes(np.arange(len(self.time) - 1)))
+        turns = np.flatnonzero(begin * end < 0)
+        change, begin, end = change[turns], begin[turns], end[turns]
+        a, b = 3 * (begin + end) - 6 * change, 6 * change - 4 * begin - 2 * end
+        root = b + np.copysign(np.sqrt(np.maximum(b**2 - 4 * a * begin, 0)), b)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            both = np.array([-root / (2 * a), -2 * begin / root])
+        share = np.where((both > 0) & (both < 1), both, np.nan)
+        share = np.fmin(*share)
+        times = self.time[turns] + share * np.diff(self.time)[turns]
+        own = self.at(np.sort(times[np.isfinite(times)]))
+        order = np.argsort(np.append(self.time, own.time), kind="stable")
+        return Path(
+            *(np.concatenate(pair, axis=-1)[..., order] for pair in zip(self, own, strict=True))
+        )
+
+    def _slopes(self, rows: Integers) -> tuple[Vector, Vector, Vector]:
+        """Return changes of the states from rows to the next, and those by the rates at both."""
+        h = self.time[rows + 1] - self.time[rows]
+        change = self.states[:, rows + 1] - self.states[:, rows]
+        ends = h * self.rates[:, rows], h * self.rates[:, rows + 1]
+        known = np.isfinite(ends[0]) & np.isfinite(ends[1])
+        begin, end = (np.where(known, own, change) for own in ends)
+        return change, begin, end
 
 
 def rates_at(motion: Motion, rows: Vector | slice, p: Vector) -> Vector:

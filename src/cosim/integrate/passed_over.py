@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,11 +20,17 @@ from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import NOTHING, apart, changing_parts, sampled_changes
+from cosim.codegen.changes import (
+    NOTHING,
+    apart,
+    changing_parts,
+    sampled_changes,
+    with_surroundings,
+)
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
-from cosim.integrate.motion import Motion, rates_at
+from cosim.integrate.motion import Motion, Path, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
 
@@ -36,7 +41,7 @@ _PARTS = 4  # of the way in an average step, within which a term that every step
 _BEYOND = 0.05  # of a way, by which rows may miss its ends
 _MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
-_INNER = 64  # intervals of a place over which rates are integrated
+_INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
 
@@ -48,7 +53,7 @@ class _Terms:
     Attributes:
         moving: The position of the state; that of time is after all states.
         values: `(moving, p) -> terms`, (n,).
-        bends: `(moving, length, p) -> bounds of the second derivatives`, both ends, (n,) each.
+        bends: `(moving, length, p) -> bounds of how far from lines`, two of each, (n,).
         bounded: Whether these are known, (n,).
         tables: The terms that call tables.
     """
@@ -63,39 +68,46 @@ class _Terms:
         """Return a term as a function of what moves."""
         return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
 
-    def bend(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
-        """Return bounds of the size of its second derivative, from begins and lengths."""
+    def beyond(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
+        """Return how far it may be from a line, as a function of begins and lengths."""
 
         def bound(begins: Vector, lengths: Vector) -> Vector:
-            ends = self.bends(begins[None], lengths[None], p)
-            return np.asarray(
-                np.abs([np.array(end)[term, : len(begins)] for end in ends]).max(axis=0)
-            )
+            bounds = self.bends(begins[None], lengths[None], p)
+            return np.fmin(*(np.array(off)[term, : len(begins)] for off in bounds))
 
         return bound
 
-    def along(self, term: int, p: Vector, motion: Motion, times: Vector) -> Vector:
-        """Return a term at times of a motion, (n,)."""
-        return self.value(term, p)(np.interp(times, motion.time, self.path(motion)))
+    def along(self, term: int, p: Vector, path: Path) -> Vector:
+        """Return a term on a path, (n,)."""
+        return self.value(term, p)(self.moved(path))
 
-    def path(self, motion: Motion) -> Vector:
-        """Return the values of what moves at the times of a motion, (n,)."""
-        return np.asarray(np.vstack((motion.states, motion.time))[self.moving])
+    def moved(self, path: Path) -> Vector:
+        """Return what moves them on a path, (n,)."""
+        return np.asarray(np.vstack((path.states, path.time))[self.moving])
 
 
-class Place(NamedTuple):
-    """Where a term bends: times, s, what moves it, and its values at times of a motion."""
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a term bends: its edges, s, what moves it, and its values on a path."""
 
-    begin: float
-    end: float
+    edges: Vector
     name: str
-    values: Callable[[Motion, Vector], Vector]
+    values: Callable[[Path], Vector]
+
+    @property
+    def begin(self) -> float:
+        """Its first time, s."""
+        return float(self.edges[0])
+
+    @property
+    def end(self) -> float:
+        """Its last time, s."""
+        return float(self.edges[-1])
 
     @property
     def times(self) -> Vector:
         """Times in it, and as far before and after it as it is long, s."""
-        length = self.end - self.begin
-        return np.linspace(self.begin - length, self.end + length, _INNER + 1)
+        return with_surroundings(self.edges, _INNER)
 
 
 @cached_per_thread(32)
@@ -142,7 +154,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
             passed = passed or new
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
-        divided = [_divided(motion, place, ends) for place in passed]
+        divided = [_divided(motion, place, p, ends) for place in passed]
         ends = _inside(grid, [ends, *divided])
         before, motion = motion, attempt(np.union1d(grid, rows), ends)
         least = _EFFECT * tolerance * _sizes(motion)
@@ -152,12 +164,13 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
             for place in places
             if place not in settled and _is_passed(motion, place, p, least)
         ]
-        if not (passed or divided):
-            break  # the motion is the one that has been searched
+    searched = motion
     if plain.dae.limits and places:
         motion = attempt(np.union1d(grid, _inside(grid, [place.times for place in places])), ends)
     else:
         motion = attempt(grid, ends) if len(ends) else plain
+    if places and not _agree(searched, motion, grid, _EFFECT * tolerance * _sizes(searched)):
+        motion = searched  # whose rows let the solver see what it otherwise passes over
     if not passed:
         return _with_note_on_unbounded(motion)
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
@@ -182,19 +195,33 @@ def _has_terms(dae: Dae) -> bool:
 def _found(motion: Motion, p: Vector, steps: int) -> list[Place]:
     """Return where terms bend within a part of an average step."""
     names = [*(state.name for state in motion.dae.states), "time"]
-    found = list[Place]()
+    path, found = Path.of(motion, p), list[Place]()
     for terms in _terms_of(motion.dae):
-        for term, low, high in _bends(terms, motion, p, steps):
+        turned = path.with_turns(terms.moving)
+        for term, edges in _bends(terms, turned, motion.dae, p, steps):
             values = partial(terms.along, term, p)
-            times = _times(motion, terms, low, high)
-            found += [Place(*span, names[terms.moving], values) for span in times]
+            times = _times(turned.time, terms.moved(turned), edges)
+            found += [Place(own, names[terms.moving], values) for own in times]
     several = several_terms_of(motion.dae)
     if several is None:
         return found
-    for term, begin, end in excursions(several, motion, p, steps):
+    for term, edges in excursions(several, path, p, steps):
         values = partial(several.along, term, p)
-        found.append(Place(begin, end, several.names[term], values))
+        found.append(Place(edges, several.names[term], values))
     return found
+
+
+def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
+    """Return whether the states of two motions are the same at the times of a grid that both have.
+
+    Args:
+        one, other: The motions.
+        grid: Times, s.
+        least: Differences of the states that matter, (nx,).
+    """
+    times = grid[np.isin(grid, one.time) & np.isin(grid, other.time)]
+    columns = (m.states[:, m.time.searchsorted(times)] for m in (one, other))
+    return bool((np.abs(np.subtract(*columns)) <= least[:, None]).all())
 
 
 def _with_note_on_unbounded(motion: Motion) -> Motion:
@@ -222,9 +249,11 @@ def _sizes(motion: Motion) -> Vector:
 
 
 def _apart(found: list[Place], known: list[Place]) -> list[Place]:
-    """Return the places that overlap none of those that are known."""
-    begins, ends = (np.array([place[i] for place in known]) for i in (0, 1))
-    return [p for p in found if not ((begins < p.end) & (p.begin < ends)).any()]
+    """Return the places whose middles lie in none of those that are known."""
+    begins, ends = (np.array([place.edges[i] for place in known]) for i in (0, -1))
+    middles = ((place.begin + place.end) / 2 for place in found)
+    pairs = zip(found, middles, strict=True)
+    return [place for place, t in pairs if not ((begins <= t) & (t <= ends)).any()]
 
 
 def _passing(place: Place) -> str:
@@ -244,27 +273,27 @@ def _dense(grid: Vector, steps: int) -> Vector:
     return np.concatenate(gaps)
 
 
-def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[int, float, float]]:
+def _bends(terms: _Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tuple[int, Vector]]:
     """Return where on the way of what moves its terms bend within a part of an average step.
 
     Returns:
-        The position of a term, and two values of what moves between which it changes.
+        The position of a term, and values of what moves between which it changes, ascending.
     """
-    x = terms.path(motion)
+    x = terms.moved(path)
     way = float(np.abs(np.diff(x)).sum())
     if not (np.isfinite(way) and way > 0):
         return []
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
-    edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
+    edges, found = np.linspace(low, high, count + 1), list[tuple[int, Vector]]()
     for term, bounded in enumerate(terms.bounded):
         values = terms.value(term, p)
-        changes = changing_parts(values, terms.bend(term, p), edges) if bounded else NOTHING
+        changes = changing_parts(values, terms.beyond(term, p), edges) if bounded else NOTHING
         parts = changes.parts
         if not changes.is_whole:  # where no bounds are finite, samples tell
-            sampled = sampled_changes(values, edges, _knots(motion.dae, terms, p))
+            sampled = sampled_changes(values, edges, _knots(dae, terms, p))
             parts = sorted({*parts, *sampled.parts})
-        found += [(term, *part) for part in apart(parts)]
+        found += [(term, own) for own in apart(parts)]
     return found
 
 
@@ -274,16 +303,24 @@ def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:
     return np.unique(np.concatenate([np.empty(0), *own]))
 
 
-def _times(motion: Motion, terms: _Terms, low: float, high: float) -> list[tuple[float, float]]:
-    """Return when what moves is between two values, on lines between rows: begins and ends, s."""
-    t, x = motion.time, terms.path(motion)
+def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
+    """Return when what moves is between the first and the last of some values.
+
+    Args:
+        t: Times, s, (n,).
+        x: What moves, on lines between them, (n,).
+        edges: Values, ascending.
+
+    Returns:
+        For each time that it is, the times at which it begins, is at one of the values, and ends.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (np.array([[low], [high]]) - x[:-1]) / np.diff(x)
-    first = np.clip(shares.min(axis=0), 0, 1)
-    last = np.clip(shares.max(axis=0), 0, 1)
-    within = np.flatnonzero(first < last)
-    begins, ends = (t[within] + s[within] * np.diff(t)[within] for s in (first, last))
-    return apart(list(zip(begins.tolist(), ends.tolist(), strict=True)))
+        shares = (edges[:, None] - x[:-1]) / np.diff(x)
+    _, rows = within = np.nonzero((shares >= 0) & (shares <= 1))
+    at = np.unique([t[0], *(t[rows] + shares[within] * np.diff(t)[rows]), t[-1]])
+    middles = np.interp((at[:-1] + at[1:]) / 2, t, x)
+    inside = (edges[0] < middles) & (middles < edges[-1])
+    return apart(list(zip(at[:-1][inside].tolist(), at[1:][inside].tolist(), strict=True)))
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
@@ -306,8 +343,7 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
             continue
         t, x = motion.time[at], motion.states[:, at]
         rates = rates_at(motion, at, p)
-        h = (t[-1] - t[0]) / (len(t) - 1)
-        fine, coarse = _simpson(rates, h), _simpson(rates[:, ::2], 2 * h)
+        fine, coarse = _simpson(t, rates), _simpson(t[::2], rates[:, ::2])
         off = np.abs(x[:, -1] - x[:, 0] - fine)
         if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
             return True
@@ -323,16 +359,18 @@ def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> b
     return before.time[last[0]] == after.time[last[1]] and bool((changes <= least).all())
 
 
-def _simpson(rows: Vector, h: float) -> Vector:
-    ends, odd, even = rows[:, 0] + rows[:, -1], rows[:, 1::2], rows[:, 2:-1:2]
-    return np.asarray(h / 3 * (ends + 4 * odd.sum(axis=1) + 2 * even.sum(axis=1)))
+def _simpson(t: Vector, rows: Vector) -> Vector:
+    """Return the integrals of rows over pairs of intervals that need not be equal."""
+    a, b = np.diff(t)[::2], np.diff(t)[1::2]
+    weights = 2 - b / a, (a + b) ** 2 / (a * b), 2 - a / b
+    parts = (w * rows[:, i : i + 2 * len(a) : 2] for i, w in enumerate(weights))
+    return np.asarray((sum(parts) * (a + b) / 6).sum(axis=1))
 
 
-def _divided(motion: Motion, place: Place, ends: Vector) -> Vector:
+def _divided(motion: Motion, place: Place, p: Vector, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
+    values = place.values(Path.of(motion, p).at(t))
     known = ends[(t[0] <= ends) & (ends <= t[-1])]
-    if len(known) > 1:
-        return np.asarray((known[:-1] + known[1:]) / 2)
-    values = place.values(motion, t)
-    return parted(t, values, float(np.ptp(values)))
+    middles = (known[:-1] + known[1:]) / 2  # those at the ends were too few
+    return np.union1d(parted(t, values, float(np.ptp(values))), middles)
