@@ -19,15 +19,15 @@ class InnerTerm(NamedTuple):
     """A term as a function of one variable.
 
     Attributes:
-        moving: The position of the state that moves it; that of time is after all states.
-        variable: Linear in what moves, of `dae.x`, `dae.t` and `dae.p`.
+        movers: The positions of the states that move it; that of time is after all states.
+        variable: Linear in the only one, or of several; of `dae.x`, `dae.t` and `dae.p`.
         symbol: What stands for it in `value`.
         value: The term, but for a factor; of the symbol and, if `given`, of `dae.p`.
         given: Positions of the parameters that change the value at a variable.
         tables: The functions that it calls, each with its argument.
     """
 
-    moving: int
+    movers: tuple[int, ...]
     variable: SX
     symbol: SX
     value: SX
@@ -53,31 +53,68 @@ def inner_terms(dae: Dae) -> list[InnerTerm]:
         own
         for place, terms in single_terms(dae).items()
         for term in ca.vertsplit(terms)
-        for own in _inner(dae, place, moving[place], term)
+        for own in _inner(dae, (place,), moving[place], term)
     ]
 
 
-def inner_terms_of_several(dae: Dae) -> list[tuple[InnerTerm, ...]]:
-    """Return the terms of several states or time, each once for every variable in it.
+class SeveralInner(NamedTuple):
+    """A term that several states or time move.
 
-    In the value of each, the symbols of the others stand for their variables.
+    Attributes:
+        each: The term once for every variable in it, each of one state; in its value, the symbols
+            of the others stand for their variables.
+        alone: The term as a function of one quantity that all of them move, such as x + y: for
+            every such quantity, the one nearest to the states first.
+        is_inverse: Whether it is a reciprocal or a power.
+        value: The term.
     """
+
+    each: tuple[InnerTerm, ...]
+    alone: tuple[InnerTerm, ...]
+    is_inverse: bool
+    value: SX
+
+
+def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
+    """Return the terms of several states or time."""
     moving = [*ca.vertsplit(dae.x), dae.t] if dae.states else [dae.t]
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
-    known, found = {*places, *_keys(dae.p)}, list[tuple[InnerTerm, ...]]()
-    for term in ca.vertsplit(several_terms(dae)):
+    known, found = {*places, *_keys(dae.p)}, list[SeveralInner]()
+    resting, inverse = map(ca.vertsplit, several_terms(dae))
+    for i, term in enumerate((*resting, *inverse)):
         symbols = {symbol.element_hash() for symbol in ca.symvar(term)}
         if not symbols <= known:
             continue  # unknowns or inputs move it, too
         movers = [symbol for symbol in moving if symbol.element_hash() in symbols]
         node, variables = _in_variables(dae, movers, term)
         given = _parameters_of(dae, node.form)
-        own = list[InnerTerm]()
+        each = list[InnerTerm]()
         for variable, symbol in (variables[root] for root in sorted(node.roots)):
             (mover,) = {s.element_hash() for s in ca.symvar(variable)} & {*places}
-            own.append(InnerTerm(places[mover], variable, symbol, node.form, given, ()))
-        found.append(tuple(sorted(own, key=lambda term: term.moving)))
+            each.append(InnerTerm((places[mover],), variable, symbol, node.form, given, ()))
+        every = tuple(places[symbol.element_hash()] for symbol in movers)
+        alone = tuple(_alone(dae, every, ca.vertcat(*movers), term))
+        ordered = tuple(sorted(each, key=lambda term: term.movers))
+        found.append(SeveralInner(ordered, alone, i >= len(resting), term))
     return found
+
+
+def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[InnerTerm]:
+    nodes = list(in_postorder([term]))
+    if any(value.op() == ca.OP_CALL for _, value, _ in nodes):
+        return
+    for quantity, value, _ in nodes[:-1]:
+        if not (value.n_dep() and all(ca.which_depends(value, movers, 1, False))):
+            continue
+        symbol, forms = SX.sym("q"), dict[int, SX]()
+        for key, own, keys in nodes:
+            operands = [forms[k] for k in keys]
+            forms[key] = applied(own.op(), operands) if operands else own
+            if key == quantity:
+                forms[key] = symbol
+        if not ca.depends_on(forms[nodes[-1][0]], movers):
+            for found in _inner(dae, places, symbol, forms[nodes[-1][0]]):
+                yield found._replace(variable=ca.substitute(found.variable, symbol, value))
 
 
 def _keys(column: SX) -> list[int]:
@@ -111,7 +148,7 @@ def _in_variables(dae: Dae, moving: Sequence[SX], term: SX) -> tuple[_Node, list
     return nodes[term.element_hash()], variables
 
 
-def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
+def _inner(dae: Dae, places: tuple[int, ...], moving: SX, term: SX) -> Iterator[InnerTerm]:
     node, variables = _in_variables(dae, [moving], term)
     for piece in _pieces(node):
         (root, *more) = piece.roots
@@ -124,7 +161,7 @@ def _inner(dae: Dae, place: int, moving: SX, term: SX) -> Iterator[InnerTerm]:
             value = ca.substitute(value, ca.vertcat(*symbols), ca.vertcat(*first))
             value = ca.substitute(value, moving, symbol)
         tables = tuple(_tables(piece)) if not more else ()
-        yield InnerTerm(place, variable, symbol, value, _parameters_of(dae, value), tables)
+        yield InnerTerm(places, variable, symbol, value, _parameters_of(dae, value), tables)
 
 
 def _combined(
@@ -160,7 +197,7 @@ def _combined(
 def _pieces(node: _Node) -> Iterator[_Node]:
     """Yield the terms of a sum that move, without their factors."""
     movers = [o for o in node.operands if o.roots]
-    factor = node.code == ca.OP_MUL or (node.code == ca.OP_DIV and movers == [node.operands[0]])
+    factor = node.code == ca.OP_MUL or (node.code == ca.OP_DIV and not node.operands[1].roots)
     if node.is_line:
         return
     if node.code in (*SUMS, ca.OP_TWICE) or (factor and len(movers) == 1):

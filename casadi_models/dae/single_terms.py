@@ -14,8 +14,8 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
     ca.OP_CONSTPOW, ca.OP_SINH, ca.OP_COSH, ca.OP_TAN, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT,
     ca.OP_CALL,
 }  # fmt: skip
-# Of several quantities; quotients and powers bend near poles, beside which a motion is slow
 _RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
+_STAYS = {ca.OP_DIV: 0, ca.OP_POW: 1, ca.OP_CONSTPOW: 1}  # the operand that does, of an inverse
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
 
@@ -53,23 +53,27 @@ def single_terms(dae: Dae) -> dict[int, SX]:
     return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
 
 
-def several_terms(dae: Dae) -> SX:
+def several_terms(dae: Dae) -> tuple[SX, SX]:
     """Return the small terms that several quantities move, and that may rest and change.
 
-    Time, states, unknowns and inputs count. Tables and other functions that are called are terms,
-    quotients and powers are not.
+    Time, states, unknowns and inputs count. Tables and other functions that are called are terms.
 
     Returns:
-        Expressions of the symbols of the equations, (n, 1).
+        Expressions of the symbols of the equations, (n, 1); and reciprocals and powers, which do
+        not rest if what they depend on has no least size, (m, 1).
     """
-    found, sizes = list[SX](), dict[int, int]()
+    resting, inverse, sizes = list[SX](), list[SX](), dict[int, int]()
     for node, operands in _nodes(dae, through_calls=True):
-        value = node.value
+        value, code = node.value, node.value.op()
         size = sizes[_key(node)] = 1 + sum(sizes[_key(operand)] for operand in operands)
-        narrow = value.op() in _RESTING and operands[-1].moving != _NONE
-        if narrow and node.moving == _MANY and size <= _MOST_OPERATIONS:
-            found.append(value if value.op() != ca.OP_CALL else value.get_output(0))
-    return ca.densify(ca.vertcat(SX(0, 1), *found))
+        if node.moving != _MANY or size > _MOST_OPERATIONS or not operands:
+            continue
+        if code in _RESTING and operands[-1].moving != _NONE:
+            resting.append(value if code != ca.OP_CALL else value.get_output(0))
+        elif code == ca.OP_INV or (code in _STAYS and operands[_STAYS[code]].moving == _NONE):
+            inverse.append(value)
+    columns = (ca.densify(ca.vertcat(SX(0, 1), *terms)) for terms in (resting, inverse))
+    return next(columns), next(columns)
 
 
 def time_terms(dae: Dae) -> SX:

@@ -159,10 +159,6 @@ def _middle(a: _Span) -> tuple[SX, SX]:
     return (a.low, SX(0)) if a.stays else ((a.low + a.high) / 2, (a.high - a.low) / 2)
 
 
-def _around(middle: SX, radius: SX) -> _Span:
-    return _Span(middle - radius, middle + radius, False)
-
-
 def _sum(a: _Span, b: _Span) -> _Span:
     return _Span(a.low + b.low, a.high + b.high, False)
 
@@ -176,8 +172,11 @@ def _product(a: _Span, b: _Span) -> _Span:
         if factor.stays and factor.low.is_constant():
             ends = (factor.low * other.low, factor.low * other.high)
             return _Span(*(ends if float(factor.low) >= 0 else ends[::-1]), False)
-    (m, r), (n, s) = _middle(a), _middle(b)
-    return _around(m * n, ca.fabs(m) * s + ca.fabs(n) * r + r * s)
+    corners = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
+    is_finite = ca.fabs(ca.sum1(ca.vertcat(*corners))) < SX.inf()  # fmin and fmax pass over NaN
+    ends = (ca.mmin(ca.vertcat(*corners)), ca.mmax(ca.vertcat(*corners)))
+    low, high = (ca.if_else(is_finite, end, SX.nan()) for end in ends)
+    return _Span(low, high, False)
 
 
 def _inverse(a: _Span, _: _Span) -> _Span:

@@ -8,16 +8,20 @@ events starts anew at these places, with steps from one to the next.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import casadi as ca
 import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Variable
-from casadi_models.dae.inner_terms import InnerTerm, inner_terms, inner_terms_of_several
+from casadi_models.dae.inner_terms import (
+    InnerTerm,
+    SeveralInner,
+    inner_terms,
+    inner_terms_of_several,
+)
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
-from cosim.arrays import Vector
+from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
     FLAT,
     NOTHING,
@@ -30,12 +34,13 @@ from cosim.codegen.pulses import parted
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
+_ANYWHERE = 1e20  # of the others meanwhile: as if they had no end, but for their powers
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
 _INNER = 64  # samples of a part of a change
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
-_HALVINGS = 100  # of the way to such a part
+_SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
 # the knots of a table of one variable in CasADi's C code
 _GRID = r"(?:casadi_interpn|CASADI_PREFIX\(nd_boor_eval\))\([^;{]*?,\s*1,\s*(casadi_c\d+)"
 
@@ -48,7 +53,8 @@ class Landmarks:
         arguments: Expressions of states or time, and parameters, that change their signs there,
             (n, 1).
         times: Those of time that parameters do not move, s, ascending.
-        moving: Names of the states with such terms; "time" for those of time.
+        moving: Names of the states with such terms, those of one joined by commas; "time" for
+            those of time.
         followed: Names of the parameters that places follow.
         given: Names of the parameters that move places which do not follow them.
         passed: Names of the states with more places than are followed, or tables without knots.
@@ -89,26 +95,26 @@ def landmarks(dae: Dae) -> Landmarks:
         knots = knots_of(term)
         of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
         if term.tables and of_tables and not len(knots):
-            unknown.add(term.moving)
+            unknown.update(term.movers)
         every_change += _changes(dae, term, knots, p)
     names, found = [*(state.name for state in dae.states), "time"], list[str]()
     passed = [names[moving] for moving in sorted(unknown)]
-    for terms in inner_terms_of_several(dae):
-        across = _changes_of_several(dae, terms, p)
-        if across is None:
-            passed.append(", ".join(names[term.moving] for term in terms))
-        else:
-            every_change += across
-    changes = dict[int, dict[tuple[int, bytes], _Change]]()
+    for several in inner_terms_of_several(dae):
+        across = _changes_of_several(dae, several, p)
+        if across is None and not several.is_inverse:
+            passed.append(", ".join(names[i] for term in several.each for i in term.movers))
+        every_change += across or []
+    changes = dict[tuple[int, ...], dict[tuple[int, bytes], _Change]]()
     for change in every_change:  # one that has different factors in two equations is one
         key = change.term.variable.element_hash(), change.places.tobytes()
-        changes.setdefault(change.term.moving, {}).setdefault(key, change)
+        changes.setdefault(change.term.movers, {}).setdefault(key, change)
     rows, times, given = list[SX](), [np.empty(0)], set[str]()
-    for moving, own in changes.items():
+    for movers, own in changes.items():
         steps = sum(change.is_step for change in own.values())
         needed = [change for change in own.values() if not change.is_step or steps > 1]
-        found += [names[moving]] if needed else []
-        if moving == len(dae.states):
+        name = ", ".join(names[i] for i in movers)
+        found += [name] if needed else []
+        if movers == (len(dae.states),):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
             times += [way_of(dae, change.term, change.places, p) for change in fixed]
             given.update(
@@ -118,7 +124,7 @@ def landmarks(dae: Dae) -> Landmarks:
             )
             needed = [change for change in needed if change not in fixed]
         if sum(len(change.places) for change in needed) > _MOST:
-            passed.append(names[moving])
+            passed.append(name)
         else:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
@@ -161,12 +167,25 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
     return changes
 
 
-def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> list[_Change] | None:
-    """Return where a term of several quantities may move, on the way of each; None if unknown.
+@cached_per_thread(16)
+def localized_inverses(dae: Dae) -> SX:
+    """Return the reciprocals and powers of several quantities that rest but for a part, (n, 1)."""
+    p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
+    every = [several for several in inner_terms_of_several(dae) if several.is_inverse]
+    return ca.vertcat(SX(0, 1), *(s.value for s in every if _changes_of_several(dae, s, p)))
 
-    Beyond these parts it rests, wherever the other quantities are: whoever gets to where it moves
+
+def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
+    """Return where a term of several quantities may move; None if unknown.
+
+    If it is a function of one quantity of them, these are places of that. Else it rests beyond
+    parts of the way of each quantity, wherever the others are: whoever gets to where it moves
     passes the end of one of them. A slope, which ends at another value than it begins, has none.
     """
+    for term in several.alone:
+        if changes := _changes(dae, term, np.empty(0), p):
+            return changes
+    terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends, dae.p)
@@ -174,26 +193,27 @@ def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> li
         return []
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
-    def width(row: int, low: float, high: float) -> float:
-        least, most = np.full(len(terms), -_FARTHEST), np.full(len(terms), _FARTHEST)
-        least[row], most[row] = low, high
-        ends = (float(end) for end in bounds(least, most, p))
-        return float(np.diff([*ends])[0])
+    def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:
+        least, columns = np.full((len(terms), len(to)), -_ANYWHERE), np.arange(len(to))
+        most = -least
+        least[rows, columns], most[rows, columns] = np.minimum(begins, to), np.maximum(begins, to)
+        low, high = (np.array(end).ravel() for end in bounds(least, most, p))
+        return np.asarray(high - low)
 
-    size = width(0, -_FARTHEST, _FARTHEST)
+    begins = np.tile([-_FARTHEST, _FARTHEST], len(terms))
+    rows = np.arange(len(begins)) // 2
+    size = float(widths(rows[:1], begins[:1], -begins[:1])[0])
     if not np.isfinite(size):
         return []
 
-    def rests(row: int, begin: float, end: float) -> bool:
-        return width(row, min(begin, end), max(begin, end)) <= FLAT * size
+    def rests(to: Vector) -> Truths:
+        own = widths(np.tile(rows, len(to)), np.tile(begins, len(to)), to.ravel())
+        return np.asarray(own.reshape(to.shape) <= FLAT * size)
 
-    found = list[_Change]()
-    for row, term in enumerate(terms):
-        first, last = (
-            _last_flat(partial(rests, row), sign * _FARTHEST, -sign * _FARTHEST) for sign in (-1, 1)
-        )
-        if first is not None and last is not None and first < last:
-            found.append(_Change(term, np.linspace(first, last, _ACROSS), is_step=False))
+    last, found = _last_flat(rests, begins), list[_Change]()
+    for term, first, final in zip(terms, last[::2], last[1::2], strict=True):
+        if -_FARTHEST < first < final < _FARTHEST:
+            found.append(_Change(term, np.linspace(first, final, _ACROSS), is_step=False))
     if found:
         return found
     value = ca.Function("value", [symbols, dae.p], [terms[0].value])
@@ -203,16 +223,20 @@ def _changes_of_several(dae: Dae, terms: tuple[InnerTerm, ...], p: Vector) -> li
     return [] if is_slope.any() else None
 
 
-def _last_flat(rests: Callable[[float, float], bool], begin: float, stop: float) -> float | None:
-    """Return the place up to which a term rests from a begin on; None if it never does."""
-    last, first_moving = begin, stop
-    for _ in range(_HALVINGS):
-        middle = (last + first_moving) / 2
-        if rests(begin, middle):
-            last = middle
-        else:
-            first_moving = middle
-    return last if last != begin else None
+def _last_flat(rests: Callable[[Vector], Truths], begins: Vector) -> Vector:
+    """Return the places up to which a term rests from begins on, towards 0 and beyond.
+
+    Args:
+        rests: Returns whether it rests from each of the begins to places, (m, n).
+        begins: (n,).
+    """
+    last, moves = begins, -begins
+    for _ in range(_ZOOMS):
+        edges = np.linspace(last, moves, _SECTIONS + 1)
+        inner = ~rests(edges[1:-1])
+        section = np.argmax(np.vstack((inner, np.full(len(begins), True))), axis=0)
+        last, moves = (edges[section + i, np.arange(len(begins))] for i in (0, 1))
+    return last
 
 
 def _depends(dae: Dae, expression: SX) -> list[Variable]:
@@ -225,7 +249,8 @@ def _depends(dae: Dae, expression: SX) -> list[Variable]:
 
 def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
     """Return the values of what moves a term at values of its variable."""
-    symbol = ca.vertcat(dae.x, dae.t)[term.moving]
+    (mover,) = term.movers
+    symbol = ca.vertcat(dae.x, dae.t)[mover]
     line = [term.variable, ca.jacobian(term.variable, symbol)]
     value, slope = ca.Function("line", [symbol, dae.p], line)(0, p)
     return np.asarray((places - float(value)) / float(slope))

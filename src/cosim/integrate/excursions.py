@@ -6,6 +6,7 @@ at a middle does.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,6 +17,7 @@ from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import FLAT, apart
+from cosim.codegen.landmarks import localized_inverses
 from cosim.integrate.motion import Path
 from cosim.memo import cached_per_thread
 
@@ -31,31 +33,31 @@ class SeveralTerms:
     """Terms that several quantities move.
 
     Attributes:
-        values: `(moving, p) -> terms`, (n,), where time, x, z and u move.
-        bounds: `(low, high, p) -> bounds of the terms`, both ends, (n,) each.
+        values: For each term, `(moving, p) -> term`, where time, x, z and u move.
+        bounds: For each term, `(low, high, p) -> bounds`, both ends.
         names: For each term, the quantities that move it.
         unbounded: The quantities of the terms without bounds, which are not searched.
     """
 
-    values: ca.Function
-    bounds: ca.Function
+    values: tuple[ca.Function, ...]
+    bounds: tuple[ca.Function, ...]
     names: tuple[str, ...]
     unbounded: tuple[str, ...]
 
     def along(self, term: int, p: Vector, path: Path) -> Vector:
         """Return a term on a path, (n,)."""
-        return np.array(self.values(path.moved, p))[term, : len(path.time)]
+        return np.array(self.values[term](path.moved, p))[0, : len(path.time)]
 
 
 @cached_per_thread(32)
 def several_terms_of(dae: Dae) -> SeveralTerms | None:
     """Return the terms of several quantities; None if a model has none."""
-    column = several_terms(dae)
+    column = ca.vertcat(several_terms(dae)[0], localized_inverses(dae))
     if not column.numel():
         return None
     moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
-    known, rows, names, unbounded = list[SX](), list[tuple[SX, SX]](), list[str](), list[str]()
+    values, known, names, unbounded = (list[Any]() for _ in range(4))
     own = {symbol.element_hash() for symbol in ca.vertsplit(moving)}
     for term in ca.vertsplit(column):
         symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
@@ -64,17 +66,11 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
         if bounds is None:
             unbounded.append(name)
         else:
-            known.append(term)
-            rows.append(bounds)
+            values.append(ca.Function("value", [moving, dae.p], [term], {"cse": True}))
+            known.append(ca.Function("bounds", [*ends, dae.p], [*bounds], {"cse": True}))
             names.append(name)
-    columns = [ca.densify(ca.vertcat(SX(0, 1), *column)) for column in zip(*rows, strict=True)]
-    values = ca.densify(ca.vertcat(SX(0, 1), *known))
-    return SeveralTerms(
-        ca.Function("values", [moving, dae.p], [values], {"cse": True}),
-        ca.Function("bounds", [*ends, dae.p], columns or [SX(0, 1)] * 2, {"cse": True}),
-        tuple(names),
-        tuple(dict.fromkeys(unbounded)),
-    )
+    columns = (tuple(column) for column in (values, known, names, dict.fromkeys(unbounded)))
+    return SeveralTerms(*columns)
 
 
 def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[tuple[int, Vector]]:
@@ -87,12 +83,11 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
         steps: Number of steps.
     """
     nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
-    seen = np.array(terms.values(path.at(nodes).moved, p))[:, : len(nodes)]
     bend = _bend(path, nodes)
     return [
         (term, edges)
         for term in range(len(terms.names))
-        for edges in _of_term(terms, term, path, p, nodes, seen[term], bend)
+        for edges in _of_term(terms, term, path, p, nodes, bend)
     ]
 
 
@@ -144,17 +139,17 @@ def _of_term(
     path: Path,
     p: Vector,
     nodes: Vector,
-    seen: Vector,
     bend: Vector,
 ) -> list[Vector]:
     """Return where a term leaves its line between two nodes: edges of parts, s."""
+    seen = terms.along(term, p, path.at(nodes))
 
     def beyond(parts: _Parts) -> Vector:
         if not len(parts.begins):
             return np.empty(0)
         first, last = path.at(parts.begins).moved, path.at(parts.ends).moved
         span = np.minimum(first, last) - parts.pads, np.maximum(first, last) + parts.pads
-        bounds = (np.array(end)[term, : len(parts.begins)] for end in terms.bounds(*span, p))
+        bounds = (np.array(end)[0, : len(parts.begins)] for end in terms.bounds[term](*span, p))
         least, most = bounds
         low, high = (ends(parts.first, parts.last) for ends in (np.minimum, np.maximum))
         off = np.maximum(most - low, high - least)

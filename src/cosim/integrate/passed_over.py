@@ -120,7 +120,7 @@ def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
         ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
         values = ca.Function("values", [s, dae.p], [terms], {"cse": True})
         bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
-        tables = tuple(t for t in inner_terms(dae) if t.moving == moving and t.tables)
+        tables = tuple(t for t in inner_terms(dae) if t.movers == (moving,) and t.tables)
         bounded = tuple(b is not None for b in known)
         found.append(_Terms(moving, values, bends, bounded, tables))
     return tuple(found)

@@ -132,10 +132,49 @@ def test_no_importer_steps_over_a_hill_of_two_states(tmp_path):
     np.testing.assert_allclose(many["x_2"][0, -1], right, rtol=2e-3)
 
 
-def test_a_ridge_across_two_states_is_exported_with_a_warning():
-    dae = on_hill(lambda c, d: ca.exp(-((c + d) ** 2)))
+ALONG = np.sqrt(np.pi)  # area of exp(-c**2)
+ACROSS = {  # both are c on the diagonal: the form, with the area of a slice along it
+    "ridge": (lambda c, d: ca.exp(-((3 * c - 2 * d) ** 2)), ALONG),
+    "ridge by a quotient": (lambda c, d: 1 / (1 + (3 * c - 2 * d) ** 2) ** 3, 3 * np.pi / 8),
+    "hill by a quotient": (lambda c, d: 1 / (1 + (c**2 + d**2) / 2) ** 3, 3 * np.pi / 8),
+}
+
+
+@pytest.mark.parametrize("shape", ACROSS)
+@pytest.mark.slow_rows("ridge", "ridge by a quotient")
+def test_nothing_steps_over_ridges_and_quotients_of_two_states(shape, tmp_path):
+    form, area = ACROSS[shape]
+    dae = on_hill(form)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    moved, area = {"p_1": 33.3, "p_2": 1e-2}, HEIGHT * area
+    right = after_an_impulse(area * 1e-2, 33.3)
+    np.testing.assert_allclose(heights(path), after_an_impulse(area * WIDTH), rtol=2e-3)
+    np.testing.assert_allclose(heights(path, start_values=moved), right, rtol=2e-3)  # before: 0
+    for solver in ("dop853", "cvodes"):
+        run = cosim.simulate(dae, start_values=moved, solver=solver)
+        assert run["x_2"][-1] == pytest.approx(right, rel=2e-3)  # before: 0 for quotients
+    many = cosim.simulate_many(dae, {name: [value, value] for name, value in moved.items()})
+    assert many["x_2"][0, -1] == pytest.approx(right, rel=2e-3)  # before: 0 for ridges
+
+
+def test_a_ring_has_places_along_its_radius():
+    dae = on_hill(lambda c, d: ca.exp(-((ca.sqrt(c**2 + d**2) - 3) ** 2)))
+    found = landmarks(dae)
+    assert (found.moving, found.passed) == (("x_1, x_4",), ())
+    radii = ca.Function("radii", [dae.x, dae.p], [found.arguments])([PLACE, 0, 0, PLACE], [50.3, 1])
+    np.testing.assert_allclose(np.median(np.array(radii)), -3, atol=0.2)
+
+
+def test_a_hill_along_no_state_is_exported_with_a_warning():
+    dae = on_hill(lambda c, d: ca.exp(-((c + d) ** 2) - (c - 2 * d) ** 2))
     assert landmarks(dae).arguments.numel() == 0
     assert landmarks(dae).passed == ("x_1, x_4",)
+
+
+def test_plane_friction_is_not_looked_at():
+    v = SX.sym("v", 2)
+    dae = cosim.from_casadi({"x": v, "ode": -v / ca.sqrt(ca.sumsqr(v) + 1e-6)})
+    assert (landmarks(dae).arguments.numel(), landmarks(dae).passed) == (0, ())
 
 
 @pytest.mark.parametrize("form", [lambda c, d: ca.tanh(c - d), lambda c, d: ca.exp(c - d)])
@@ -195,7 +234,7 @@ def test_a_function_with_two_arguments_and_two_results_has_no_places():
 def test_a_term_is_a_function_of_what_parameters_shift():
     dae = on_road(two_slopes, begin=PLACE, end=PLACE)
     found = inner_terms(dae)
-    assert [term.moving for term in found] == [0, 0]
+    assert [term.movers for term in found] == [(0,), (0,)]
     assert not any(term.given for term in found)
     (height, *_) = inner_terms(on_road(product, place=PLACE, other=PLACE))
     assert height.given == (0, 1)
