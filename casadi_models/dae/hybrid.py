@@ -158,6 +158,11 @@ class Hybrid:
         rows = (sizes[i] * (not alone) for i, alone in enumerate(self.of_time))
         return ca.densify(ca.vertcat(SX(0, 1), *rows))
 
+    def with_conditions(self) -> Dae:
+        """Return the frozen equations, with the arguments of the relations as limits."""
+        arguments = ((relation.argument, relation.operation) for relation in self.relations)
+        return replace(self.dae, limits=(*self.dae.limits, *arguments))
+
     def watching_more(self, arguments: SX, operation: str) -> "Hybrid":
         """Return the equations with further relations, on which no law depends.
 
@@ -422,6 +427,11 @@ def hybrid(dae: Dae) -> Hybrid | None:
         for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
     ) if dae.events else ()  # fmt: skip
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
+
+
+def is_mode(variable: Variable) -> bool:
+    """Return whether an input of frozen equations is the mode of a relation."""
+    return variable.name.startswith("mode_") and variable.meaning.startswith("mode of ")
 
 
 def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Variable, ...]:

@@ -11,6 +11,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.hybrid import is_mode
 from casadi_models.dae.relations import applied, called
 from casadi_models.dae.single_terms import SUMS, in_postorder, several_terms, single_terms
 
@@ -19,7 +20,8 @@ class InnerTerm(NamedTuple):
     """A term as a function of one variable.
 
     Attributes:
-        movers: The positions of the states that move it; that of time is after all states.
+        movers: The positions of the states that move it; after them are those of time, of the
+            algebraic unknowns and of the inputs.
         variable: Linear in the only one, or of several; of `dae.x`, `dae.t` and `dae.p`.
         symbol: What stands for it in `value`.
         value: The term, but for a factor; of the symbol and, if `given`, of `dae.p`.
@@ -58,13 +60,13 @@ def inner_terms(dae: Dae) -> list[InnerTerm]:
 
 
 class SeveralInner(NamedTuple):
-    """A term that several states or time move.
+    """A term that several states, time, unknowns or inputs move.
 
     Attributes:
         each: The term once for every variable in it, each of one state; in its value, the symbols
             of the others stand for their variables.
         alone: The term as a function of one quantity that all of them move, such as x + y: for
-            every such quantity, the one nearest to the states first.
+            every such quantity, the one nearest to what moves first.
         is_inverse: Whether it is a reciprocal or a power.
         value: The term.
     """
@@ -76,15 +78,17 @@ class SeveralInner(NamedTuple):
 
 
 def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
-    """Return the terms of several states or time."""
-    moving = [*ca.vertsplit(dae.x), dae.t] if dae.states else [dae.t]
+    """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
+    columns = dae.x, dae.t, dae.z, dae.u
+    moving = [symbol for column in columns if column.numel() for symbol in ca.vertsplit(column)]
+    moving = moving[: len(moving) - sum(map(is_mode, dae.inputs))]  # a mode does not move: it jumps
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
     known, found = {*places, *_keys(dae.p)}, list[SeveralInner]()
     resting, inverse = map(ca.vertsplit, several_terms(dae))
     for i, term in enumerate((*resting, *inverse)):
         symbols = {symbol.element_hash() for symbol in ca.symvar(term)}
         if not symbols <= known:
-            continue  # unknowns or inputs move it, too
+            continue
         movers = [symbol for symbol in moving if symbol.element_hash() in symbols]
         node, variables = _in_variables(dae, movers, term)
         given = _parameters_of(dae, node.form)

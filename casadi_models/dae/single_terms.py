@@ -124,7 +124,7 @@ def _nodes(dae: Dae, *, through_calls: bool) -> Iterator[tuple[_Node, list[_Node
 
 
 def _roots(dae: Dae) -> list[SX]:
-    return [*_elements(dae.ode), *_elements(dae.alg)]
+    return [*_elements(dae.ode), *_elements(dae.alg), *(margin for margin, _ in dae.limits)]
 
 
 def _moving(dae: Dae) -> dict[int, int]:

@@ -179,6 +179,35 @@ def test_a_bump_that_shifts_those_after_it_is_seen_each_time():
     assert abs(run["x"][-1] - close["x"][-1]) < 1e-5  # before: 0.009
 
 
+def with_bump_in(role):
+    """Return a model in which a bump of width 1 mm decides, and does nothing else."""
+    model = cosim.Model("switch", stop_time=7.0, output_interval=0.5)
+    s, y = model.state("s", "m", 0.0, "way"), model.state("y", "s", 0.0, "time since the bump")
+    hits = model.discrete("hits", "1", 0, "hits")
+    bump = ca.exp(-(((s - PLACE) / 1e-3) ** 2))
+    model.derivative(s, SPEED)
+    model.derivative(y, hits)
+    model.output("bump", "1", bump, "bump")
+    if role == "when":
+        model.when(bump > 0.5, {hits: hits + 1}, name="hit")
+    if role == "limit":
+        model.limit(0.5 - bump, "the ground is flat")
+    return model.freeze()
+
+
+HIT = (PLACE - 1e-3 * np.sqrt(np.log(2))) / SPEED  # s
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_a_bump_in_a_condition_alone_is_seen(solver):
+    run = cosim.simulate(with_bump_in("when"), solver=solver)
+    assert run["y"][-1] == pytest.approx(7 - HIT, abs=1e-6)  # before: 0
+    run = cosim.simulate(with_bump_in("stop"), solver=solver, stop_when="bump > 0.5")
+    assert run.time[-1] == pytest.approx(HIT, abs=1e-6)  # before: 7
+    run = cosim.simulate(with_bump_in("limit"), solver=solver)
+    assert run.stats["invalid_from"] == pytest.approx(HIT, abs=1e-4)  # before: none
+
+
 def test_a_term_that_every_step_sees_changes_no_bit():
     x, v = SX.sym("x"), SX.sym("v")
     ode = ca.vertcat(v, -9 * x - 0.3 * ca.tanh(v / 0.1))

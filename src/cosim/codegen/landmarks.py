@@ -67,11 +67,6 @@ class Landmarks:
     given: tuple[str, ...]
     passed: tuple[str, ...]
 
-    @property
-    def exist(self) -> bool:
-        """Whether terms change that a step may pass over."""
-        return bool(self.moving)
-
 
 @dataclass(frozen=True, eq=False)
 class _Change:
@@ -97,7 +92,8 @@ def landmarks(dae: Dae) -> Landmarks:
         if term.tables and of_tables and not len(knots):
             unknown.update(term.movers)
         every_change += _changes(dae, term, knots, p)
-    names, found = [*(state.name for state in dae.states), "time"], list[str]()
+    others = (v.name for v in (*dae.algebraics, *dae.inputs))
+    names, found = [*(state.name for state in dae.states), "time", *others], list[str]()
     passed = [names[moving] for moving in sorted(unknown)]
     for several in inner_terms_of_several(dae):
         across = _changes_of_several(dae, several, p)

@@ -26,7 +26,7 @@ from cosim.integrate.location import Piece, located, with_input_rates, with_slop
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.passed_over import attentive, with_note_on_steps
+from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
@@ -80,7 +80,11 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         return with_note_on_steps(motion, start.values.p)
     return followed_growth(
         lambda closer: attentive(
-            partial(attempt, closer), rows, start.values.p, solver.tolerance.pair[0]
+            partial(attempt, closer),
+            rows,
+            start.values.p,
+            solver.tolerance.pair[0],
+            with_conditions(problem.dae),
         ),
         solver,
         start.values.p,

@@ -30,6 +30,7 @@ from cosim.codegen.changes import (
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
+from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
@@ -126,7 +127,7 @@ def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
     return tuple(found)
 
 
-def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Motion:
+def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: Dae) -> Motion:
     """Return the motion over output times whose steps pass over no term of time or one state.
 
     With validity conditions, it has rows where terms bend, too.
@@ -136,17 +137,18 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
         grid: Output times, s.
         p: Parameters.
         tolerance: Relative tolerance of the solver.
+        dae: The equations with the conditions of events; see `with_conditions`.
     """
     plain = attempt(grid, np.empty(0))
     steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
-    if plain.reason or len(plain.time) < 2 or not _has_terms(plain.dae):
+    if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
         return plain
     rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
     motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
     settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
-        new = _apart(_found(motion, p, steps), places)
+        new = _apart(_found(dae, motion, p, steps), places)
         if motion.reason or not (passed or new):
             break
         places += new
@@ -172,8 +174,15 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float) -> Mo
     if places and not _agree(searched, motion, grid, _EFFECT * tolerance * _sizes(searched)):
         motion = searched  # whose rows let the solver see what it otherwise passes over
     if not passed:
-        return _with_note_on_unbounded(motion)
+        return _with_note_on_unbounded(dae, motion)
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
+
+
+@cached_per_thread(16)
+def with_conditions(dae: Dae) -> Dae:
+    """Return the frozen equations of a model, with the conditions of its events as limits."""
+    system = hybrid(dae)
+    return dae if system is None else system.with_conditions()
 
 
 def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -192,17 +201,17 @@ def _has_terms(dae: Dae) -> bool:
     return bool(_terms_of(dae)) or several_terms_of(dae) is not None
 
 
-def _found(motion: Motion, p: Vector, steps: int) -> list[Place]:
+def _found(dae: Dae, motion: Motion, p: Vector, steps: int) -> list[Place]:
     """Return where terms bend within a part of an average step."""
-    names = [*(state.name for state in motion.dae.states), "time"]
+    names = [*(state.name for state in dae.states), "time"]
     path, found = Path.of(motion, p), list[Place]()
-    for terms in _terms_of(motion.dae):
+    for terms in _terms_of(dae):
         turned = path.with_turns(terms.moving)
-        for term, edges in _bends(terms, turned, motion.dae, p, steps):
+        for term, edges in _bends(terms, turned, dae, p, steps):
             values = partial(terms.along, term, p)
             times = _times(turned.time, terms.moved(turned), edges)
             found += [Place(own, names[terms.moving], values) for own in times]
-    several = several_terms_of(motion.dae)
+    several = several_terms_of(dae)
     if several is None:
         return found
     for term, edges in excursions(several, path, p, steps):
@@ -212,7 +221,7 @@ def _found(motion: Motion, p: Vector, steps: int) -> list[Place]:
 
 
 def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
-    """Return whether the states of two motions are the same at the times of a grid that both have.
+    """Return whether two motions have as many events, and equal states on a grid.
 
     Args:
         one, other: The motions.
@@ -221,11 +230,12 @@ def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
     """
     times = grid[np.isin(grid, one.time) & np.isin(grid, other.time)]
     columns = (m.states[:, m.time.searchsorted(times)] for m in (one, other))
-    return bool((np.abs(np.subtract(*columns)) <= least[:, None]).all())
+    same = (np.abs(np.subtract(*columns)) <= least[:, None]).all()
+    return bool(same) and len(one.events) == len(other.events)
 
 
-def _with_note_on_unbounded(motion: Motion) -> Motion:
-    terms = several_terms_of(motion.dae)
+def _with_note_on_unbounded(dae: Dae, motion: Motion) -> Motion:
+    terms = several_terms_of(dae)
     if terms is None or not terms.unbounded:
         return motion
     text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set max_step"
@@ -237,7 +247,7 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     if len(motion.time) < 2 or motion.reason:
         return motion
     steps = min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
-    found = _found(motion, p, steps) if _has_terms(motion.dae) else []
+    found = _found(motion.dae, motion, p, steps) if _has_terms(motion.dae) else []
     if not found:
         return motion
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")

@@ -10,6 +10,7 @@ from fmpy.fmi2 import FMU2Slave
 import cosim
 from casadi_models.dae.inner_terms import inner_terms
 from cosim.codegen.landmarks import landmarks
+from cosim.model.inputs import InputSeries
 
 SPEED, HEIGHT, PLACE, WIDTH = 10.0, 0.05, 50.3, 1e-3  # m/s, m
 INTERFACES = ["CoSimulation", "ModelExchange"]
@@ -155,6 +156,39 @@ def test_nothing_steps_over_ridges_and_quotients_of_two_states(shape, tmp_path):
         assert run["x_2"][-1] == pytest.approx(right, rel=2e-3)  # before: 0 for quotients
     many = cosim.simulate_many(dae, {name: [value, value] for name, value in moved.items()})
     assert many["x_2"][0, -1] == pytest.approx(right, rel=2e-3)  # before: 0 for ridges
+
+
+def on_lift(role):
+    """Return a mass on a spring that a bump of an input or an unknown lifts, or starts a clock."""
+    model = cosim.Model(role, stop_time=7.0, output_interval=0.5)
+    s = model.state("s", "m", 0.0, "way")
+    y, v = model.state("x_2", "m", 0.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(s, SPEED)
+    if role == "input":
+        moving = model.input("lift", "m", 0.0, "way")
+    else:
+        moving = model.algebraic("lift", "m", 0.0, "way")
+        model.equation(moving + 1e-9 * moving**3 - s - 1e-9 * s**3)
+    bump = gauss(moving, PLACE, WIDTH)
+    model.derivative(y, v)
+    if role == "condition":
+        hits = model.discrete("hits", "1", 0, "hits")
+        model.when(bump > HEIGHT / 2, {hits: hits + 1})
+        bump = hits
+    model.derivative(v, -25 * (y - bump) - v)
+    return model.freeze()
+
+
+@pytest.mark.parametrize("role", ["input", "unknown", "condition"])
+@pytest.mark.slow_rows("unknown")
+def test_nothing_steps_over_a_bump_of_inputs_and_unknowns_or_in_conditions(role, tmp_path):
+    path = cosim.export_fmu(on_lift(role), tmp_path / "x.fmu")
+    ramp = InputSeries(("lift",), [0.0, 7.0], [[0.0], [70.0]]) if role == "input" else None
+    right = after_an_impulse(HEIGHT * WIDTH * np.sqrt(np.pi))
+    if role == "condition":
+        t, w = 7 - PLACE / SPEED, np.sqrt(25 - 0.25)
+        right = 1 - np.exp(-t / 2) * (np.cos(w * t) + np.sin(w * t) / (2 * w))
+    np.testing.assert_allclose(heights(path, inputs=ramp), right, rtol=2e-3)  # before: 0
 
 
 def test_a_ring_has_places_along_its_radius():

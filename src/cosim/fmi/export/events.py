@@ -40,7 +40,7 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     except ValueError as error:
         raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
     system = system.blended() if system else Hybrid(dae, (), (), ())
-    places = landmarks(system.dae)
+    places = landmarks(system.with_conditions())
     for name in places.passed:
         warn(
             f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "

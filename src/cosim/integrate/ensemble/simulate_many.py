@@ -161,7 +161,8 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     plain = request.inputs is None and policy.drift_control is None and policy.compiled is not False
     if not (explicit and plain and end > begin and has_compiler()):
         return None
-    if landmarks(dae).exist or landmarks(dae).passed:
+    resting = {v.name for v in dae.inputs}  # in each run
+    if {*landmarks(dae).moving, *landmarks(dae).passed} - resting:
         return None
     longest = request.max_step or end - begin
     if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):
