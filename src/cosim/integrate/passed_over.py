@@ -171,7 +171,8 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
         motion = attempt(np.union1d(grid, _inside(grid, [place.times for place in places])), ends)
     else:
         motion = attempt(grid, ends) if len(ends) else plain
-    if places and not _agree(searched, motion, grid, _EFFECT * tolerance * _sizes(searched)):
+    least = _EFFECT * tolerance * _sizes(searched)
+    if places and not searched.reason and not _agree(searched, motion, grid, least):
         motion = searched  # whose rows let the solver see what it otherwise passes over
     if not passed:
         return _with_note_on_unbounded(dae, motion)
