@@ -15,8 +15,6 @@ from casadi import SX
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
-ORDERS = 3  # value, first and second derivative
-
 
 class _Span(NamedTuple):
     """Least and greatest value of an expression; both are the value of one that stays."""
