@@ -135,11 +135,11 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
         ends = ca.Function("bend", [symbol, length, dae.p], list(bounds), {"cse": True})
         edges = np.array([-_FARTHEST, _FARTHEST])
 
-        def bend(begins: Vector, widths: Vector) -> Vector:
+        def off(begins: Vector, widths: Vector) -> Vector:
             both = [np.array(end).ravel() for end in ends(begins[None], widths[None], p)]
-            return np.asarray(np.abs(both).max(axis=0))
+            return np.asarray(np.abs(both).max(axis=0) * widths**2 / 8)
 
-        found = changing_parts(values, bend, edges)
+        found = changing_parts(values, off, edges)
     else:
         found = changes_between(values, knots) if len(knots) > 1 else NOTHING
     if not found.is_whole:

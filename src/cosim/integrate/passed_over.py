@@ -21,7 +21,7 @@ from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import NOTHING, apart, changing_parts, sampled_changes
+from cosim.codegen.changes import Bounds, apart, bent_parts
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
@@ -63,16 +63,15 @@ class _Terms:
         """Return a term as a function of what moves."""
         return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
 
-    def bend(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
-        """Return bounds of the size of its second derivative, from begins and lengths."""
+    def off(self, term: int, p: Vector) -> Bounds | None:
+        """Return bounds of its distance from a line, from begins and lengths; None if unknown."""
 
         def bound(begins: Vector, lengths: Vector) -> Vector:
             ends = self.bends(begins[None], lengths[None], p)
-            return np.asarray(
-                np.abs([np.array(end)[term, : len(begins)] for end in ends]).max(axis=0)
-            )
+            both = [np.array(end)[term, : len(begins)] for end in ends]
+            return np.asarray(np.abs(both).max(axis=0) * lengths**2 / 8)
 
-        return bound
+        return bound if self.bounded[term] else None
 
     def along(self, term: int, p: Vector, motion: Motion, times: Vector) -> Vector:
         """Return a term at times of a motion, (n,)."""
@@ -256,16 +255,12 @@ def _bends(terms: _Terms, motion: Motion, p: Vector, steps: int) -> list[tuple[i
         return []
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
-    edges, found = np.linspace(low, high, count + 1), list[tuple[int, float, float]]()
-    for term, bounded in enumerate(terms.bounded):
-        values = terms.value(term, p)
-        changes = changing_parts(values, terms.bend(term, p), edges) if bounded else NOTHING
-        parts = changes.parts
-        if not changes.is_whole:  # where no bounds are finite, samples tell
-            sampled = sampled_changes(values, edges, _knots(motion.dae, terms, p))
-            parts = sorted({*parts, *sampled.parts})
-        found += [(term, *part) for part in apart(parts)]
-    return found
+    edges, knots = np.linspace(low, high, count + 1), _knots(motion.dae, terms, p)
+    return [
+        (term, *part)
+        for term in range(len(terms.bounded))
+        for part in bent_parts(terms.value(term, p), terms.off(term, p), edges, knots)
+    ]
 
 
 def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:
