@@ -38,6 +38,7 @@ def switch_times(dae: Dae, begin: float, end: float) -> Vector:
         spans = np.union1d([begin, after], found)
         within = np.array(modes((spans[None, :-1] + spans[None, 1:]) / 2))
         found = np.union1d(found, Argument(system, i, spans, within).switches())
+        found = found[np.diff(found, prepend=-np.inf) > 8 * np.spacing(np.abs(found))]
     later = np.minimum(found[found > begin + _SHORTEST * (end - begin)], end)
     return np.unique(np.append(begin, later))
 
