@@ -179,6 +179,11 @@ def test_relations_that_switch_at_the_same_time_do_so_once():
     assert len(found) in (100, 101)  # one may be at the end
 
 
+def test_a_condition_begins_to_hold_where_its_argument_gets_a_value():
+    found = switch_times(integral(lambda t, _: ca.sqrt(t - 0.3) > -1, 1.0), 0.0, 1.0)
+    np.testing.assert_allclose(found, [0.0, 0.3], rtol=1e-15)
+
+
 def test_search_takes_parts_and_not_samples():
     """Switches at 20 kHz cost as many parts each as those at 50 Hz do."""
     counts = []

@@ -15,6 +15,7 @@ from cosim.arrays import Truths, Vector
 
 _SHORTEST = 1e-12  # part, as a share of the run, for which no bounds have to tell
 _SAMPLES = 4096  # parts of the run of an argument without bounds, or without values
+_NO_VALUE = -np.inf  # in place of the mode of an argument without a value
 _MOST_PARTS = 1 << 16  # for which bounds do not tell; more are halved no further
 
 
@@ -84,9 +85,9 @@ class Argument:
         begins, lengths, spans = self.parts()
         times, spans = np.column_stack((begins, begins + lengths)).ravel(), np.repeat(spans, 2)
         modes = self._modes_at(times, spans)
-        valued = ~np.isnan(modes)
-        times, spans, modes = times[valued], spans[valued], modes[valued]
-        before = np.flatnonzero((np.diff(modes) != 0) & (np.diff(spans) == 0))
+        inner = ~np.isnan(modes)
+        times, spans, modes = times[inner], spans[inner], modes[inner]
+        before = np.flatnonzero((modes[1:] != modes[:-1]) & (spans[1:] == spans[:-1]))
         low, high = times[before], times[before + 1]
         while True:
             middle = low + (high - low) / 2
@@ -125,8 +126,10 @@ class Argument:
         ends = self._bounds(begins[None], lengths[None], self._modes[:, spans.astype(int)])
         (low, slowest, _), (high, fastest, _) = (np.array(end) for end in ends)
         keeps = high <= np.floor(low) + 1 if self._floor else (low >= 0) | (high <= 0)
-        near = high - low < (1 if self._floor else np.inf)
-        once = near & ((slowest >= 0) | (fastest <= 0)) & np.isfinite(fastest - slowest)
+        with np.errstate(invalid="ignore"):  # of infinite bounds
+            near = high - low < (1 if self._floor else np.inf)
+            finite = np.isfinite(fastest - slowest)
+        once = near & ((slowest >= 0) | (fastest <= 0)) & finite
         known = keeps | once
         empty = ~known & (lengths < whole / _SAMPLES)
         for share in (0, 0.5, 1):
@@ -139,8 +142,9 @@ class Argument:
         return values
 
     def _modes_at(self, times: Vector, spans: Vector) -> Vector:
-        """Return its modes; not a number on a boundary, and where it has no value."""
+        """Return its modes; `_NO_VALUE` where it has none, and not a number on a boundary."""
         values = self._values(times, spans)
         modes = np.floor(values) if self._floor else np.sign(values)
         on_boundary = values == (modes if self._floor else 0)
+        modes = np.where(np.isnan(values), _NO_VALUE, modes)
         return np.where(on_boundary, np.nan, modes)
