@@ -62,9 +62,8 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
         column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        try:
-            spans = _spans(column, dae.arguments, _from_here(length))
-        except _UnknownError:
+        spans = _spans(column, dae.arguments, _from_here(length))
+        if not spans:
             continue
         known.append(i)
         lows += [span.low for span in spans]
@@ -83,11 +82,8 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
         length: Symbol of the length.
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
-    try:
-        (span,) = _spans(ca.densify(second), [moving, *others], _from_here(length))
-    except _UnknownError:
-        return None
-    return span.low, span.high
+    spans = _spans(ca.densify(second), [moving, *others], _from_here(length))
+    return (spans[0].low, spans[0].high) if spans else None
 
 
 def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX, SX] | None:
@@ -100,15 +96,12 @@ def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX
         p: Symbols that stay.
     """
     low, high = map(ca.vertsplit, ends)
-    try:
-        (span,) = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
-    except _UnknownError:
-        return None
-    return span.low, span.high
+    spans = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
+    return (spans[0].low, spans[0].high) if spans else None
 
 
 def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]) -> list[_Span]:
-    """Return the spans of a column, from those of the rows of the first argument."""
+    """Return the spans of a column from those of the rows of the first argument; [] if unknown."""
     function = ca.Function("rows", list(arguments), [rows], {"cse": True})
     symbols = [ca.vertsplit(column) for column in arguments]
 
@@ -123,7 +116,10 @@ def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]
             return _constant(applied(code, [operand.low for operand in operands]))
         return _result(code, operands)
 
-    (spans,) = replayed(function, symbol, _constant, operation)
+    try:
+        (spans,) = replayed(function, symbol, _constant, operation)
+    except _UnknownError:
+        return []
     return spans
 
 
