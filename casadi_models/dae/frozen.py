@@ -115,10 +115,23 @@ class Dae:
                 )
 
     def __repr__(self) -> str:
-        return shown.text(self)
+        head = f"Dae {self.full_name}: {self.description}".rstrip(": ")
+        lines = [head, *shown.lines(self._groups)]
+        if self.report:
+            lines.append(f"  reduced: {self.report[0]}" + (", ..." if len(self.report) > 1 else ""))
+        stop, interval = self.experiment.stop_time, self.experiment.output_interval
+        return "\n".join((*lines, f"  runs 0 ... {stop:g} s, every {interval:g} s"))
 
     def _repr_html_(self) -> str:
-        return shown.html(self)
+        return shown.table(f"{self.full_name}: {self.description}", self._groups)
+
+    @property
+    def _groups(self) -> shown.Groups:
+        yield "states", self.states
+        yield "algebraics", self.algebraics
+        yield "inputs", self.inputs
+        yield "parameters", self.parameters
+        yield "outputs", self.output_variables
 
     def __reduce__(self) -> tuple[Any, ...]:
         return packed.unpacked, packed.packed(self)

@@ -1,36 +1,26 @@
-"""What a model says of itself at a prompt and in a notebook."""
-
-from __future__ import annotations
+"""Variables by kind, as models show them at a prompt and in a notebook."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 from casadi_models.dae.variables import Start, Variable
-
-if TYPE_CHECKING:
-    from casadi_models.dae.frozen import Dae
 
 _MOST_NAMES = 8  # in one line
 
 
-def text(dae: Dae) -> str:
-    """Return up to nine lines: what it is, and the names of its variables."""
-    lines = [f"Dae {dae.full_name}: {dae.description}".rstrip(": ")]
-    lines += [f"  {kind:10} {len(own):3}  {_names(own)}" for kind, own in _groups(dae) if own]
-    if dae.report:
-        lines.append(f"  reduced: {dae.report[0]}" + (", ..." if len(dae.report) > 1 else ""))
-    experiment = dae.experiment
-    lines.append(f"  runs 0 ... {experiment.stop_time:g} s, every {experiment.output_interval:g} s")
-    return "\n".join(lines)
+Groups = Iterable[tuple[str, Sequence[Variable]]]
 
 
-def html(dae: Dae) -> str:
-    """Return a table of every variable."""
-    return table(f"{dae.full_name}: {dae.description}", _groups(dae))
+def lines(groups: Groups) -> Iterator[str]:
+    """Yield a line for each kind: how many variables there are, and their first names."""
+    for kind, own in groups:
+        if own:
+            more = ", ..." if len(own) > _MOST_NAMES else ""
+            names = ", ".join(v.name for v in own[:_MOST_NAMES]) + more
+            yield f"  {kind:10} {len(own):3}  {names}"
 
 
-def table(caption: str, groups: Iterable[tuple[str, Sequence[Variable]]]) -> str:
+def table(caption: str, groups: Groups) -> str:
     """Return a table in HTML of variables by kind."""
     head = "".join(f"<th>{t}</th>" for t in ("kind", "name", "unit", "start", "meaning"))
     rows = "".join(
@@ -46,19 +36,6 @@ def table(caption: str, groups: Iterable[tuple[str, Sequence[Variable]]]) -> str
         f"<table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead>"
         f"<tbody>{rows}</tbody></table>"
     )
-
-
-def _groups(dae: Dae) -> Iterator[tuple[str, Sequence[Variable]]]:
-    yield "states", dae.states
-    yield "algebraics", dae.algebraics
-    yield "inputs", dae.inputs
-    yield "parameters", dae.parameters
-    yield "outputs", dae.output_variables
-
-
-def _names(variables: Sequence[Variable]) -> str:
-    more = ", ..." if len(variables) > _MOST_NAMES else ""
-    return ", ".join(v.name for v in variables[:_MOST_NAMES]) + more
 
 
 def _start(variable: Variable) -> str:

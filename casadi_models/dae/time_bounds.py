@@ -15,8 +15,6 @@ from casadi import SX
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
-ORDERS = 3  # value, first and second derivative
-
 
 class _Span(NamedTuple):
     """Least and greatest value of an expression; both are the value of one that stays."""
@@ -64,9 +62,8 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
         column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        try:
-            spans = _spans(column, dae.arguments, _from_here(length))
-        except _UnknownError:
+        spans = _spans(column, dae.arguments, _from_here(length))
+        if not spans:
             continue
         known.append(i)
         lows += [span.low for span in spans]
@@ -89,10 +86,10 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
     rows = ca.densify(ca.vertcat(second, value))
-    try:
-        bend, own = _spans(rows, [moving, *others], _from_here(length))
-    except _UnknownError:
+    spans = _spans(rows, [moving, *others], _from_here(length))
+    if not spans:
         return None
+    bend, own = spans
     most = ca.fmax(ca.fabs(bend.low), ca.fabs(bend.high))
     return most * length**2 / 8, own.high - own.low
 
@@ -107,15 +104,12 @@ def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX
         p: Symbols that stay.
     """
     low, high = map(ca.vertsplit, ends)
-    try:
-        (span,) = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
-    except _UnknownError:
-        return None
-    return span.low, span.high
+    spans = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
+    return (spans[0].low, spans[0].high) if spans else None
 
 
 def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]) -> list[_Span]:
-    """Return the spans of a column, from those of the rows of the first argument."""
+    """Return the spans of a column from those of the rows of the first argument; [] if unknown."""
     function = ca.Function("rows", list(arguments), [rows], {"cse": True})
     symbols = [ca.vertsplit(column) for column in arguments]
 
@@ -130,7 +124,10 @@ def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]
             return _constant(applied(code, [operand.low for operand in operands]))
         return _result(code, operands)
 
-    (spans,) = replayed(function, symbol, _constant, operation)
+    try:
+        (spans,) = replayed(function, symbol, _constant, operation)
+    except _UnknownError:
+        return []
     return spans
 
 

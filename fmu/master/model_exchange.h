@@ -30,7 +30,7 @@ typedef struct {
 } Exchange;
 
 /* Brings the FMU to a time and a state. Returns 0 unless a call fails. */
-static inline int move(Exchange *self, double t, const double *x) {
+static inline int move_fmu(Exchange *self, double t, const double *x) {
     const Functions *call = self->fmu->call;
     const size_t n = (size_t)self->run->states;
     return failed(self->fmu, "set_time", call->set_time(call->instance, t)) ||
@@ -45,7 +45,7 @@ static inline int exchange_slope(void *context, double t, const double *x, doubl
         dx[0] = 0;
         return 0;
     }
-    if (move(self, t, x)) return 1;
+    if (move_fmu(self, t, x)) return 1;
     ++self->run->calls;
     return failed(self->fmu, "get_derivatives",
                   call->get_derivatives(call->instance, dx, (size_t)self->run->states));
@@ -68,7 +68,7 @@ static inline void forget_discards(Exchange *self) {
 static inline int indicators_at(Exchange *self, double t, const double *x, double *z) {
     const Functions *call = self->fmu->call;
     if (!self->run->indicators) return 0;
-    if (move(self, t, x)) return 1;
+    if (move_fmu(self, t, x)) return 1;
     return failed(self->fmu, "get_indicators",
                   call->get_indicators(call->instance, z, (size_t)self->run->indicators));
 }
@@ -118,7 +118,7 @@ static inline int record_until(Exchange *self, double after, const double *end) 
     for (; run->rows < run->points && run->times[run->rows] <= after; ++run->rows) {
         const double time = run->times[run->rows];
         if (time < after) evaluate(&self->piece, time, x);
-        if (move(self, time, time < after ? x : end)) return 1;
+        if (move_fmu(self, time, time < after ? x : end)) return 1;
         if (record(self->fmu, run->recording, run->rows)) return 1;
     }
     return 0;
@@ -164,7 +164,7 @@ static inline int advance(Exchange *self, double goal, int *rejected, bool *even
             return DONE;
         }
     }
-    if (record_until(self, after, end) || move(self, after, end)) return CALL_FAILED;
+    if (record_until(self, after, end) || move_fmu(self, after, end)) return CALL_FAILED;
     bool step_event = false, terminate = false;
     if (run->needs_completed_step && completed_step(self->fmu, &step_event, &terminate))
         return CALL_FAILED;

@@ -6,12 +6,13 @@ The state of each model is the integral of a value while its condition holds.
 from math import asin, atan, atanh, exp, log, pi, sqrt
 
 import casadi as ca
+import numpy as np
 import pytest
 
 import cosim
 from casadi_models.dae import Model
 from casadi_models.dae.hybrid import hybrid
-from casadi_models.dae.time_search import TimeSearch
+from cosim.model.switching import Argument, switch_times
 
 NATIVE = ["dop853", "cvodes"]
 FMUS = ["ModelExchange 2", "CoSimulation 2", "CoSimulation 3"]
@@ -156,25 +157,41 @@ def test_an_angle_falls_though_its_rate_is_constant(way, tmp_path):
     assert ran(dae, way, tmp_path).final["y"] == pytest.approx(2 * (pi - 1), abs=1e-9)
 
 
-def test_search_takes_spans_and_not_samples():
-    """20,000 switches cost as many evaluations each as 50 do."""
+@pytest.mark.parametrize("case", CASES)
+def test_switches_of_an_input_of_an_fmu_are_found_at_their_times(case):
+    condition, stop_time, value, exact, count = CASES[case]
+    dae = integral(lambda t, _: condition(t, 1.0), stop_time, value)
+    found = switch_times(dae, 0.0, stop_time)
+    if case not in ("both", "floor"):  # which switches more often than its condition
+        assert len(found[1:]) == pytest.approx(count, abs=1)  # one may be at the end
+    ends = np.unique([0.0, *found, stop_time])
+    middles = (ends[:-1] + ends[1:]) / 2
+    rates = ca.Function("rate", [dae.t], [dae.ode])(middles[None])
+    assert float(rates @ np.diff(ends)) == pytest.approx(exact, abs=error_of(case))
+
+
+def test_relations_that_switch_at_the_same_time_do_so_once():
+    def condition(t, _):
+        return ca.logic_and(ca.sin(100 * pi * t) > 0, ca.cos(100 * pi * t - pi / 2) > 0)
+
+    found = switch_times(integral(condition, 1.0), 0.0, 1.0)
+    np.testing.assert_allclose(found, np.arange(len(found)) / 100, rtol=0, atol=1e-15)
+    assert len(found) in (100, 101)  # one may be at the end
+
+
+def test_a_condition_begins_to_hold_where_its_argument_gets_a_value():
+    found = switch_times(integral(lambda t, _: ca.sqrt(t - 0.3) > -1, 1.0), 0.0, 1.0)
+    np.testing.assert_allclose(found, [0.0, 0.3], rtol=1e-15)
+
+
+def test_search_takes_parts_and_not_samples():
+    """Switches at 20 kHz cost as many parts each as those at 50 Hz do."""
     counts = []
-    for frequency in (50, 20_000):
-        system = hybrid(integral(lambda t, a, f=frequency: ca.sin(2 * pi * f * a * t) > 0.3, 1.0))
-        search, calls = TimeSearch(system), [0]
-        inner = search._over._evaluate
-
-        def counted(inner=inner, calls=calls):
-            calls[0] += 1
-            inner()
-
-        search._over._evaluate = counted
-        t, switches, mode = 0.0, 0, -1.0
-        while switches < 20:
-            t, left = search.first(t, [mode], [1.0], 1.0)
-            assert left == {0}
-            switches, mode = switches + 1, -mode
-        calls[0] /= switches
-        counts.append(calls[0])
-    assert counts[1] < 40  # measured 22; 13 at 50 Hz
-    assert counts[1] - counts[0] < 15
+    for frequency, end in ((50, 1.0), (20_000, 0.1)):
+        system = hybrid(integral(lambda t, _, f=frequency: ca.sin(2 * pi * f * t) > 0.3, 1.0))
+        search = Argument(system, 0, np.array([0.0, end]), np.ones((1, 1)))
+        switches = search.switches()
+        assert len(switches) == 2 * frequency * end
+        counts.append(search.parts().shape[1] / len(switches))
+    assert counts[1] < 6  # measured 2.6
+    assert abs(counts[1] - counts[0]) < 1  # measured 0.06

@@ -1,4 +1,4 @@
-"""`changing_parts`: where a function bends, from bounds of how far it is from a line."""
+"""`changing_parts`: where a function bends, from bounds of its distance from a line."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -33,17 +33,31 @@ class Changes(NamedTuple):
 NOTHING = Changes([], np.nan, np.nan, is_whole=False)
 
 
-def changing_parts(
-    values: Callable[[Vector], Vector],
-    beyond: Callable[[Vector, Vector], Vector],
-    edges: Vector,
-) -> Changes:
+Values = Callable[[Vector], Vector]  # a function at values of its variable
+Bounds = Callable[[Vector, Vector], Vector]  # begins and widths of cells -> distances from lines
+
+
+def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vector) -> list[Vector]:
+    """Return where a function bends within cells, by samples where bounds do not tell: edges.
+
+    Args:
+        values, bounds, edges: See `changing_parts`; bounds are None if there are none.
+        knots: Values of the variable at which the function has samples of its own.
+    """
+    changes = NOTHING if bounds is None else changing_parts(values, bounds, edges)
+    parts = {*changes.parts}
+    if not changes.is_whole:
+        parts |= {*_sampled_changes(values, edges, knots).parts}
+    return apart(sorted(parts))
+
+
+def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     """Return where a function bends within cells of its variable.
 
     Args:
         values: Returns the function at values of the variable.
-        beyond: Returns how far the function may be from a line, at most, from the begins of cells
-            and their widths.
+        bounds: Returns bounds of its distance from the line between its ends, from the begins of
+            cells and their widths; NaN if there is none.
         edges: Ends of the cells, ascending.
     """
     ends = values(edges)
@@ -52,10 +66,10 @@ def changing_parts(
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
     begins, widths = edges[:-1], np.diff(edges)
     least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
-    off = _off(beyond, begins, widths)
+    off = _off(bounds, begins, widths)
     for _ in range(_MOST_ROUNDS):
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
-        if not len(bent) or len(begins) > _MOST_CELLS:
+        if not len(bent) or len(begins) > len(edges) + _MOST_CELLS:
             break
         bent = bent[np.argsort(-off[bent], kind="stable")[:_AT_ONCE]]
         half = widths[bent] / 2
@@ -64,7 +78,7 @@ def changing_parts(
         low, high = float(np.nanmin([low, *inner])), float(np.nanmax([high, *inner]))
         keep = np.delete(np.arange(len(begins)), bent)
         new = np.concatenate((begins[bent], middles))
-        off = np.concatenate((off[keep], _off(beyond, new, np.tile(half, 2))))
+        off = np.concatenate((off[keep], _off(bounds, new, np.tile(half, 2))))
         begins, widths = np.append(begins[keep], new), np.append(widths[keep], np.tile(half, 2))
         least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
         halved[len(keep) :] = True
@@ -76,13 +90,14 @@ def changing_parts(
     )
 
 
-def _off(beyond: Callable[[Vector, Vector], Vector], begins: Vector, widths: Vector) -> Vector:
-    off = beyond(begins, widths)
+def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:
+    """Return how far a function may be from a line within cells."""
+    off = bounds(begins, widths)
     return np.asarray(np.where(np.isnan(off), np.inf, off))
 
 
 def _changing(
-    values: Callable[[Vector], Vector], begins: Vector, ends: Vector, size: float
+    values: Values, begins: Vector, ends: Vector, size: float
 ) -> list[tuple[float, float]]:
     if not len(begins):
         return []
@@ -90,14 +105,14 @@ def _changing(
     return list(zip(begins[changes].tolist(), ends[changes].tolist(), strict=True))
 
 
-def changes_between(values: Callable[[Vector], Vector], knots: Vector) -> Changes:
+def changes_between(values: Values, knots: Vector) -> Changes:
     """Return which parts between knots, where alone a function bends, it changes in."""
     seen = values(knots)
     low, high = float(seen.min()), float(seen.max())
     return Changes(_changing(values, knots[:-1], knots[1:], high - low), low, high, is_whole=True)
 
 
-def sampled_changes(values: Callable[[Vector], Vector], edges: Vector, knots: Vector) -> Changes:
+def _sampled_changes(values: Values, edges: Vector, knots: Vector) -> Changes:
     """Return where a function bends within cells as samples show, and its values at its knots."""
     own = knots[(edges[0] < knots) & (knots < edges[-1])]
     shares = np.arange(_SAMPLES) / _SAMPLES

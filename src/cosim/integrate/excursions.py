@@ -5,7 +5,7 @@ Where they leave the line between its ends, the part is halved until they do not
 at a middle does.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -15,17 +15,13 @@ from casadi import SX
 from casadi_models.dae import Dae
 from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
-from cosim.arrays import Integers, Truths, Vector
-from cosim.codegen.changes import FLAT, apart
+from cosim.arrays import Vector
+from cosim.codegen.changes import bent_parts
 from cosim.codegen.landmarks import localized_inverses
 from cosim.integrate.motion import Path
 from cosim.memo import cached_per_thread
 
 _PARTS = 4  # of an average step, at whose ends a term is seen by every step
-_LEAST = 0.05  # distance from a line, as a share of the range of the term
-_AT_ONCE, _MOST_ROUNDS = 512, 100  # parts that are halved together; halvings
-_MOST_PARTS = 20_000
-_SHORTEST = 2.0**-40  # of a part, in first ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +80,11 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
     """
     nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
     bend = _bend(path, nodes)
+    pads = np.maximum(bend[:, :-1], bend[:, 1:])
     return [
         (term, edges)
         for term in range(len(terms.names))
-        for edges in _of_term(terms, term, path, p, nodes, bend)
+        for edges in _of_term(terms, term, path, p, nodes, pads)
     ]
 
 
@@ -102,75 +99,28 @@ def _bend(path: Path, nodes: Vector) -> Vector:
     return np.maximum(off[:, rows], off[:, rows + 1])
 
 
-@dataclass
-class _Parts:
-    """Parts of steps: begin and end, how far what moves is from lines, and the term's own line."""
-
-    begins: Vector
-    ends: Vector
-    pads: Vector
-    first: Vector
-    last: Vector
-
-    def at(self, which: Integers | Truths) -> "_Parts":
-        columns = self.begins, self.ends, self.first, self.last
-        begins, ends, first, last = (column[which] for column in columns)
-        return _Parts(begins, ends, self.pads[:, which], first, last)
-
-    def and_also(self, other: "_Parts") -> "_Parts":
-        names = "begins", "ends", "pads", "first", "last"
-        pairs = ((getattr(self, name), getattr(other, name)) for name in names)
-        return _Parts(*(np.concatenate(pair, axis=-1) for pair in pairs))
-
-    @property
-    def middles(self) -> Vector:
-        return np.asarray((self.begins + self.ends) / 2)
-
-    def halves(self, values: Vector) -> "_Parts":
-        """Return both halves of each, from the term at its middle; there, lines are closer."""
-        closer, middles = replace(self, pads=self.pads / 4), self.middles
-        first = replace(closer, ends=middles, last=values)
-        return first.and_also(replace(closer, begins=middles, first=values))
-
-
 def _of_term(
-    terms: SeveralTerms,
-    term: int,
-    path: Path,
-    p: Vector,
-    nodes: Vector,
-    bend: Vector,
+    terms: SeveralTerms, term: int, path: Path, p: Vector, nodes: Vector, pads: Vector
 ) -> list[Vector]:
-    """Return where a term leaves its line between two nodes: edges of parts, s."""
-    seen = terms.along(term, p, path.at(nodes))
+    """Return where a term leaves its line between two nodes: edges of parts, s.
 
-    def beyond(parts: _Parts) -> Vector:
-        if not len(parts.begins):
-            return np.empty(0)
-        first, last = path.at(parts.begins).moved, path.at(parts.ends).moved
-        span = np.minimum(first, last) - parts.pads, np.maximum(first, last) + parts.pads
-        bounds = (np.array(end)[0, : len(parts.begins)] for end in terms.bounds[term](*span, p))
-        least, most = bounds
-        low, high = (ends(parts.first, parts.last) for ends in (np.minimum, np.maximum))
-        off = np.maximum(most - low, high - least)
-        return np.asarray(np.where(np.isnan(off), np.inf, off))
+    Args:
+        terms, path, p: See `excursions`.
+        term: The position of the term.
+        nodes: Times, s, (n + 1,).
+        pads: How far what moves may be from lines between nodes, (moving, n).
+    """
 
-    pads = np.maximum(bend[:, :-1], bend[:, 1:])
-    parts = _Parts(nodes[:-1], nodes[1:], pads, seen[:-1], seen[1:])
-    size, shortest = float(np.ptp(seen)), (nodes[1] - nodes[0]) * _SHORTEST
-    off, whole = beyond(parts), nodes[1] - nodes[0]
-    for _ in range(_MOST_ROUNDS):
-        wide = np.flatnonzero((off > _LEAST * size) & (parts.ends - parts.begins > shortest))
-        if not len(wide) or len(off) > len(nodes) + _MOST_PARTS:
-            break
-        wide = wide[np.argsort(-off[wide], kind="stable")[:_AT_ONCE]]
-        own, keep = parts.at(wide), np.delete(np.arange(len(off)), wide)
-        value = terms.along(term, p, path.at(own.middles))
-        size = max(size, float(np.ptp([*seen, *value])))
-        halves = own.halves(value)
-        off = np.append(off[keep], beyond(halves))
-        parts = parts.at(keep).and_also(halves)
-    changes = np.abs(parts.last - parts.first) > FLAT * size
-    parts = parts.at(changes & (parts.ends - parts.begins < 0.75 * whole))
-    spans = sorted(zip(parts.begins.tolist(), parts.ends.tolist(), strict=True))
-    return apart(spans)
+    def values(times: Vector) -> Vector:
+        return terms.along(term, p, path.at(times))
+
+    def off(begins: Vector, lengths: Vector) -> Vector:
+        cells = np.searchsorted(nodes, begins + lengths / 2) - 1
+        pad = pads[:, cells] * (lengths / np.diff(nodes)[cells]) ** 2  # in parts, lines are closer
+        first, last = path.at(begins).moved, path.at(begins + lengths).moved
+        span = np.minimum(first, last) - pad, np.maximum(first, last) + pad
+        least, most = (np.array(end)[0, : len(begins)] for end in terms.bounds[term](*span, p))
+        high = np.maximum(values(begins), values(begins + lengths))
+        return np.asarray(np.maximum(most - high, high - least))
+
+    return bent_parts(values, off, nodes, np.empty(0))

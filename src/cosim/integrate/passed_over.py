@@ -20,13 +20,7 @@ from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import (
-    NOTHING,
-    apart,
-    changing_parts,
-    sampled_changes,
-    with_surroundings,
-)
+from cosim.codegen.changes import Bounds, apart, bent_parts, with_surroundings
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.pulses import parted
 from cosim.integrate.excursions import excursions, several_terms_of
@@ -69,14 +63,14 @@ class _Terms:
         """Return a term as a function of what moves."""
         return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
 
-    def beyond(self, term: int, p: Vector) -> Callable[[Vector, Vector], Vector]:
-        """Return how far it may be from a line, as a function of begins and lengths."""
+    def off(self, term: int, p: Vector) -> Bounds | None:
+        """Return bounds of its distance from a line, from begins and lengths; None if unknown."""
 
         def bound(begins: Vector, lengths: Vector) -> Vector:
             bounds = self.bends(begins[None], lengths[None], p)
             return np.fmin(*(np.array(off)[term, : len(begins)] for off in bounds))
 
-        return bound
+        return bound if self.bounded[term] else None
 
     def along(self, term: int, p: Vector, path: Path) -> Vector:
         """Return a term on a path, (n,)."""
@@ -296,16 +290,12 @@ def _bends(terms: _Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[t
         return []
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
-    edges, found = np.linspace(low, high, count + 1), list[tuple[int, Vector]]()
-    for term, bounded in enumerate(terms.bounded):
-        values = terms.value(term, p)
-        changes = changing_parts(values, terms.beyond(term, p), edges) if bounded else NOTHING
-        parts = changes.parts
-        if not changes.is_whole:  # where no bounds are finite, samples tell
-            sampled = sampled_changes(values, edges, _knots(dae, terms, p))
-            parts = sorted({*parts, *sampled.parts})
-        found += [(term, own) for own in apart(parts)]
-    return found
+    edges, knots = np.linspace(low, high, count + 1), _knots(dae, terms, p)
+    return [
+        (term, own)
+        for term in range(len(terms.bounded))
+        for own in bent_parts(terms.value(term, p), terms.off(term, p), edges, knots)
+    ]
 
 
 def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:

@@ -278,7 +278,8 @@ def singular_configurations(
     suspects = {*_suspects(time, rank), *(np.flatnonzero(singular[1:]).tolist())}
     if not suspects:
         return
-    law, u, last = _law(dae), np.broadcast_to(u, (len(u), n)), -2
+    law = _margin(with_singularity_margin(dae), -1)
+    u, last = np.broadcast_to(u, (len(u), n)), -2
     for k in sorted(suspects):
         # also along the motion before and after, in case the solver changed the branch between
         parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
@@ -294,11 +295,6 @@ def singular_configurations(
             if k > last + 1:
                 yield SingularConfiguration(k, when, distance)
             last = k
-
-
-@cached_per_thread(8)
-def _law(dae: Dae) -> ca.Function:
-    return ca.Function("rank", dae.arguments, [dae.distance_from_singularity], {"cse": True})
 
 
 def _suspects(time: Vector, rank: Vector) -> list[int]:

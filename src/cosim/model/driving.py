@@ -14,7 +14,6 @@ from casadi import SX
 
 from casadi_models.dae import Dae, Model, Variable
 from casadi_models.dae.starts import reject_disorder
-from casadi_models.dae.time_search import switch_times
 from casadi_models.dae.variables import is_name
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
@@ -22,6 +21,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.formula import expression
 from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
+from cosim.model.switching import switch_times
 
 _STEEP = 0.02  # share of a function's range within a sampling interval that may be a jump
 _LOOKS = 7  # at a function between two output times
@@ -133,7 +133,7 @@ def followed(
             if isinstance(value, str):
                 law, switches = _formula(f"{owner}: {name}", value, numbers, ends, unit)
             else:
-                law, switches = value, _samples(owner, name, value, times).jumps.tolist()
+                law, switches = value, _samples(owner, name, value, times).jumps
             laws[name] = _on_arrays(law)
             around = np.sort(np.append(np.union1d(ends, switches), switches))
             pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
@@ -147,14 +147,14 @@ def followed(
 
 def _formula(
     owner: str, text: str, constants: Mapping[str, float], ends: Vector, unit: str
-) -> tuple[Callable[[float], float], list[float]]:
+) -> tuple[Callable[[float], float], Vector]:
     """Return a formula as a function, and when its relations switch between two times, s."""
     model = Model("input")
     symbols = {name: SX(value) for name, value in constants.items()}
     value = expression(owner, text, symbols | {"t": model.t, "time": model.t}, {"": unit})
     model.derivative(model.state("integral", "1", 0.0, "integral of the input"), value)
     function = ca.Function("law", [model.t], [value])
-    switches = list(switch_times(model.freeze(), *ends.tolist()))
+    switches = switch_times(model.freeze(), *ends.tolist())
     return lambda t: float(function(t)), switches
 
 

@@ -1,16 +1,21 @@
 """Generated C files of an FMU: constants, table of variables, equations."""
 
 import re
+from collections.abc import Sequence
 from math import inf
 
 import casadi as ca
 
+from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
 from cosim.codegen.fmu.equations import generated_code
 from cosim.codegen.fmu.solver import most_trials
+from cosim.codegen.hybrid_laws import law_sizes, law_tables
+from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pieces import in_pieces
+from cosim.codegen.pulses import pulse_parameters
 from cosim.errors import UsageError
-from cosim.fmi.export.events import LEAST_STEPS, event_sizes, event_tables, literal
+from cosim.fmi.export.events import LEAST_STEPS, fmu_pulses
 from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.text import violated
@@ -23,10 +28,10 @@ def model_header(plan: Plan, guid: str) -> str:
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
 #define MODEL_H
-#define MODEL_IDENTIFIER {literal(plan.name)}
+#define MODEL_IDENTIFIER {_literal(plan.name)}
 #define MODEL_PREFIX {plan.name}_
-#define MODEL_NAME {literal(dae.full_name)}
-#define MODEL_GUID {literal(guid)}
+#define MODEL_NAME {_literal(dae.full_name)}
+#define MODEL_GUID {_literal(guid)}
 #define NX {len(dae.states)}
 #define NZ {len(dae.algebraics)}
 #define NU {len(dae.inputs)}
@@ -43,14 +48,14 @@ def model_header(plan: Plan, guid: str) -> str:
 #define FIXED_STEPS {int(step_size is not None)}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae, plan.solver)}
-{event_sizes(plan.system)}#endif
+{_event_sizes(plan.system)}#endif
 """
 
 
 def variable_table(plan: Plan) -> str:
     """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
-    limits = "".join(f"    {literal(meaning)},\n" for _, meaning in plan.dae.limits)
-    violations = "".join(f"    {literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
+    limits = "".join(f"    {_literal(meaning)},\n" for _, meaning in plan.dae.limits)
+    violations = "".join(f"    {_literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
@@ -67,7 +72,44 @@ static const char *const limits[] = {{
 static const char *const violations[] = {{
 {violations}    NULL,
 }};
-{event_tables(plan.system)}"""
+{_event_tables(plan.system)}"""
+
+
+def _event_sizes(system: Hybrid | None) -> str:
+    """Return the sizes of events for model.h; empty without events."""
+    if system is None:
+        return ""
+    sizes = law_sizes(system) | {
+        "N_WATCHED": system.of_time.count(False),
+        "N_PULSES": len(fmu_pulses(system.dae)),
+    }
+    return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+
+
+def _event_tables(system: Hybrid | None) -> str:
+    """Return the tables of relations, events and pulses for tables.h; empty without events."""
+    if system is None:
+        return ""
+    times, known = fmu_pulses(system.dae), landmarks(system.dae)
+    pulses = [*map(repr, times.tolist()), "0.0"]
+    sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
+    moving = sampled - {*known.followed} | {*known.given}
+    places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
+    names = [_literal(system.described(i)) for i in range(len(system.relations))]
+    rules = [_literal(event.name) for event in system.events]
+    messages = [_literal(event.message) if event.message else "NULL" for event in system.events]
+    texts = {"relation_names": names, "rule_names": rules, "rule_messages": messages}
+    return f"""
+{law_tables(system)}
+{"".join(_texts(name, own) for name, own in texts.items())}
+static const double pulses[] = {{{", ".join(pulses)}}};
+static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
+"""
+
+
+def _texts(name: str, texts: Sequence[str]) -> str:
+    lines = "".join(f"    {text},\n" for text in (*texts, "NULL"))
+    return f"static const char *const {name}[] = {{\n{lines}}};\n"
 
 
 # Start values and derivatives are most of the code, and no solver evaluates them in every step.
@@ -120,20 +162,26 @@ def _fields(variable: FmuVariable) -> tuple[str, ...]:
     guess = variable.start if variable.guess is None else variable.guess
     start = guess if variable.start is None else variable.start
     return (
-        literal(variable.name),
+        _literal(variable.name),
         variable.role.name,
         variable.start_kind.name,
-        _c_literal(start or 0.0),
-        _c_literal(variable.nominal),
-        _c_literal(variable.minimum),
-        _c_literal(variable.maximum),
-        _c_literal(guess or 0.0),
+        _double(start or 0.0),
+        _double(variable.nominal),
+        _double(variable.minimum),
+        _double(variable.maximum),
+        _double(guess or 0.0),
         str(variable.tunable).lower(),
     )
 
 
-def _c_literal(value: float) -> str:
+def _double(value: float) -> str:
     """Return a C literal with the same bits."""
     if value in (float("inf"), float("-inf")):
         return "DBL_MAX" if value > 0 else "-DBL_MAX"
     return repr(float(value))
+
+
+def _literal(text: str) -> str:
+    """Return a text as C literal, on one line."""
+    escaped = " ".join(text.split()).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

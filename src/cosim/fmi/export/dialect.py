@@ -4,7 +4,6 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 
 @dataclass(frozen=True)
@@ -40,16 +39,6 @@ class Dialect:
     first: int
     both: Mapping[str, str]
     co_simulation: Mapping[str, str]
-
-    def typed(
-        self, tag: str, kind: str, general: Mapping[str, str], facts: Mapping[str, str]
-    ) -> ET.Element:
-        """Return an element with general attributes and those of its type."""
-        if not self.nested:
-            return ET.Element(kind, {**general, **facts})
-        element = ET.Element(tag, {**general})
-        ET.SubElement(element, kind, {**facts})
-        return element
 
 
 _TABLES = tomllib.loads(

@@ -1,6 +1,5 @@
-"""Events of an FMU: frozen equations, and the functions and tables that the runtime needs."""
+"""Events of an FMU: frozen equations, and pulses."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from warnings import warn
 
@@ -11,9 +10,8 @@ from casadi import SX
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
 from cosim.arrays import Vector
-from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
-from cosim.codegen.pulses import pulse_parameters, pulse_times
+from cosim.codegen.pulses import pulse_times
 from cosim.errors import UsageError
 
 LEAST_STEPS = 50  # of the solver in a model's span
@@ -65,46 +63,3 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     outputs = ca.densify(ca.vertcat(smooth.outputs, *rows))
     variables = (*smooth.output_variables, *more)
     return replace(system, dae=replace(smooth, outputs=outputs, output_variables=variables))
-
-
-def event_sizes(system: Hybrid | None) -> str:
-    """Return the sizes of events for model.h; empty without events."""
-    if system is None:
-        return ""
-    sizes = law_sizes(system) | {
-        "N_WATCHED": system.of_time.count(False),
-        "N_PULSES": len(fmu_pulses(system.dae)),
-    }
-    return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-
-
-def event_tables(system: Hybrid | None) -> str:
-    """Return the tables of relations, events and pulses for tables.h; empty without events."""
-    if system is None:
-        return ""
-    times, known = fmu_pulses(system.dae), landmarks(system.dae)
-    pulses = [*map(repr, times.tolist()), "0.0"]
-    sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
-    moving = sampled - {*known.followed} | {*known.given}
-    places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
-    names = [literal(system.described(i)) for i in range(len(system.relations))]
-    rules = [literal(event.name) for event in system.events]
-    messages = [literal(event.message) if event.message else "NULL" for event in system.events]
-    texts = {"relation_names": names, "rule_names": rules, "rule_messages": messages}
-    return f"""
-{law_tables(system)}
-{"".join(_texts(name, own) for name, own in texts.items())}
-static const double pulses[] = {{{", ".join(pulses)}}};
-static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
-"""
-
-
-def _texts(name: str, texts: Sequence[str]) -> str:
-    lines = "".join(f"    {text},\n" for text in (*texts, "NULL"))
-    return f"static const char *const {name}[] = {{\n{lines}}};\n"
-
-
-def literal(text: str) -> str:
-    """Return a text as C literal, on one line."""
-    escaped = " ".join(text.split()).replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'

@@ -1,6 +1,6 @@
 """modelDescription.xml and buildDescription.xml of FMI 2.0 and 3.0."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from math import inf, isfinite
 from xml.etree import ElementTree as ET
@@ -60,7 +60,18 @@ def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.
     for unit in sorted({v.unit for v in variables} & set(QUANTITIES), key=QUANTITIES.__getitem__):
         name = QUANTITIES[unit]
         facts = {"quantity": name, "unit": unit}
-        element.append(dialect.typed("SimpleType", dialect.real_type, {"name": name}, facts))
+        element.append(_typed(dialect, "SimpleType", dialect.real_type, {"name": name}, facts))
+    return element
+
+
+def _typed(
+    dialect: Dialect, tag: str, kind: str, general: Mapping[str, str], facts: Mapping[str, str]
+) -> ET.Element:
+    """Return an element with general attributes and those of its type."""
+    if not dialect.nested:
+        return ET.Element(kind, {**general, **facts})
+    element = ET.Element(tag, {**general})
+    ET.SubElement(element, kind, {**facts})
     return element
 
 
@@ -72,7 +83,7 @@ def _element(reference: int, variable: FmuVariable, dialect: Dialect) -> ET.Elem
         general["valueReference"] = "0" if dialect.types_apart else str(reference)
     if dialect.version == "3.0" and causality(variable) in ("input", "output"):
         general["intermediateUpdate"] = "true"
-    element = dialect.typed("ScalarVariable", kind, general, facts)
+    element = _typed(dialect, "ScalarVariable", kind, general, facts)
     if variable.alias:
         element.append(_alias(variable.alias, variable.meaning, dialect))
     return element
