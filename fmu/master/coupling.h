@@ -113,7 +113,9 @@ static inline int pass_events(Coupling *self) {
     for (long long p = 0; p < system->n_parts; ++p)
         if (system->parts[p].event_mode && part_enter_event_mode(&self->fmu, system->parts + p))
             return give_up(self, p), CALL_FAILED;
-    return let_happen(self);
+    /* events see the values that relations of time in other parts have now */
+    const int how = settle_values(self, self->now.u);
+    return how == DONE ? let_happen(self) : how;
 }
 
 /* Go back to the begin of a macro step within which there is an event; let it happen if it is there

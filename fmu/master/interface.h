@@ -45,9 +45,9 @@ typedef struct {
     double noise;          /* of an input, in its scale, where it keeps steps from getting longer */
 } System;
 
-/* Whether two times are the same but for rounding. */
+/* Whether two times of a run are the same but for rounding. */
 static inline int same_time(const System *system, double a, double b) {
-    return at_one_time(a, b, system->start, 1e-12);
+    return at_one_time(a, b, system->start - (system->stop - system->start), 1e-12);
 }
 
 /* The interface at a communication point: inputs and their rates. */

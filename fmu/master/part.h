@@ -23,7 +23,8 @@ typedef struct {
     double own_step;      /* the only length of its steps; 0 if it takes any */
     /* answers */
     long long steps, restored;
-    long long waits; /* whether an event is to happen where it is */
+    long long violations, kept; /* of validity conditions: so far; at `saved` */
+    long long waits;            /* whether an event is to happen where it is */
     double reached;
     void *saved; /* its state at the last communication point; NULL at first */
 } Part;
@@ -110,6 +111,7 @@ static inline int part_column(Fmu *fmu, const Part *self, long long input, doubl
 
 static inline int part_save(Fmu *fmu, Part *self) {
     if (!self->rolls_back) return 0;
+    self->kept = self->violations;
     const Functions *call = calls_of(fmu, self);
     return failed(fmu, "get_fmu_state", call->get_fmu_state(call->instance, &self->saved));
 }
@@ -117,6 +119,7 @@ static inline int part_save(Fmu *fmu, Part *self) {
 static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
     self->waits = 0;
+    self->violations = self->kept;
     const Functions *call = calls_of(fmu, self);
     return failed(fmu, "set_fmu_state", call->set_fmu_state(call->instance, self->saved));
 }

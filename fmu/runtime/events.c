@@ -72,7 +72,27 @@ static void plan_time_events(Instance *self, double now) {
     plan(&laws, &self->state.switching, &at, now, end, end == stop, pulse);
 }
 
+void enter_instant(Instance *self) {
+    State *state = &self->state;
+    const Laws laws = laws_of(self);
+    const Point at = present(self);
+    if (!(event_time(&laws, &state->switching, at.t) >= next_event(self))) return;
+    state->before.known = 2;
+    memcpy(state->before.modes, state->values + FIRST_MODE, MODES * sizeof *state->before.modes);
+    modes_of_time(&laws, &at, fmax(at.t, next_event(self)), state->values + FIRST_MODE);
+    state->stale |= AFTER_START;
+}
+
+void leave_instant(Instance *self) {
+    State *state = &self->state;
+    if (state->before.known != 2) return;
+    state->before.known = 0;
+    memcpy(state->values + FIRST_MODE, state->before.modes, MODES * sizeof *state->before.modes);
+    state->stale |= AFTER_START;
+}
+
 Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
+    leave_instant(self);
     State *state = &self->state;
     const Laws laws = laws_of(self);
     const Point at = present(self);

@@ -25,6 +25,11 @@ static double end_with_event(const Instance *self, double end);
 
 static bool run_stopped(const Instance *self);
 
+/* In event mode, until its first update, relations of time have the values that they have at the
+   time itself: samples of other FMUs see them. */
+static void enter_instant(Instance *self);
+static void leave_instant(Instance *self);
+
 /* Keep what was before an event at a communication point, as other inputs may be set there. */
 static void remember_instant(Instance *self);
 
@@ -57,6 +62,12 @@ static inline Status handle_instant(Instance *self, int crossing, Outcome *outco
 static inline bool run_stopped(const Instance *self) {
     (void)self;
     return false;
+}
+static inline void enter_instant(Instance *self) {
+    (void)self;
+}
+static inline void leave_instant(Instance *self) {
+    (void)self;
 }
 static inline void note_samples(Instance *self, double behind[]) {
     (void)self, (void)behind;

@@ -16,7 +16,10 @@ static fmi3Status enter(Instance *self, unsigned modes, const char *function, ui
 fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
     const Instance *self = instance;
     const bool never = self && self->state.interface == INTERFACE_CS && !self->host.event_mode;
-    return enter(instance, never ? NEVER : IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+    const fmi3Status status =
+        enter(instance, never ? NEVER : IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+    if (status == fmi3OK && self->state.interface == INTERFACE_CS) enter_instant(instance);
+    return status;
 }
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {

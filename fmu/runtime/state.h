@@ -75,7 +75,7 @@ _Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubl
 #if HAS_EVENTS
 /* The instance before an event at a communication point; all of it doubles. */
 typedef struct {
-    double known; /* 1: there was one; -1: it is happening again */
+    double known; /* 1: there was one; -1: it is happening again; 2: in event mode, only modes */
     double time, x[ROOM(NX)], modes[ROOM(MODES)], inputs[ROOM(NU)];
     Switching switching;
 } Before;

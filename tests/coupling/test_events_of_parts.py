@@ -52,6 +52,30 @@ def ball():
     return {"plant": mass(50.0), "ball": model.freeze()}, wires
 
 
+def swing():
+    """x'' = -x + u with a validity condition."""
+    model = part("swing")
+    u = model.input("u", "N", 0.0, "force")
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, u - x)
+    model.limit(x + 0.5, "x is high")
+    return model.freeze()
+
+
+def follower():
+    """What it takes in drives nothing: y = 0."""
+    model = part("follower")
+    u, w = model.input("u", "m", 0.0, "place"), model.state("w", "m.s", 0.0, "integral")
+    model.derivative(w, u)
+    model.output("y", "N", 0 * w, "force")
+    return model.freeze()
+
+
+def table(times, values):
+    return cosim.InputSeries(("c.u",), np.array(times), np.array(values, dtype=float)[:, None])
+
+
 def relay():
     """A relay with hysteresis switches a heater, whose part counts the switches."""
     switch, room = part("relay"), part("room")
@@ -377,6 +401,42 @@ def test_a_start_exactly_at_a_threshold_switches_once(settings):
         [0, np.log(2), np.log(3)], abs=1e-9
     )
     assert run.final["room.T"] == pytest.approx(6 * np.exp(-1.5), abs=1e-6)
+
+    assert run["th.q"][0] == 0  # a row has the values after its events
+
+
+@pytest.mark.parametrize(
+    ("law", "right"),
+    [
+        ("floor(2*t)", lambda t: np.floor(2 * t)),
+        ("where(t >= 0.5, 1, 0)", lambda t: t >= 0.5),
+        ("where(t > 0.5, 1, 0)", lambda t: t > 0.5),
+        (table([0, 0.5, 0.5, 1], [0, 0, 1, 1]), lambda t: t >= 0.5),
+    ],
+    ids=["floor", "from", "after", "table"],
+)
+def test_a_sample_at_the_time_of_a_jump_is_that_of_the_one_model(law, right):
+    """Relations have the values of that time; the samples were those before in other parts."""
+    controller = cosim.Model("c", stop_time=1.0, output_interval=0.125)
+    u, held = controller.input("u", "1", 0.0, "u"), controller.discrete("h", "1", 0.0, "held")
+    controller.every(0.25, {held: u}, name="sample")
+    system = cosim.couple({"c": controller.freeze()}, {})
+    for run in (
+        system.simulate(inputs={"c.u": law}),
+        system.simulate(inputs={"c.u": law}, macro_step=0.1),
+        cosim.simulate(system.dae, inputs={"c.u": law}),
+    ):
+        np.testing.assert_array_equal(run["c.h"], right(np.floor(4 * run.time) / 4))
+
+
+@pytest.mark.parametrize("settings", [{}, {"macro_step": 0.1}, {"threads": True}], ids=str)
+def test_the_first_violation_of_a_condition_in_a_part_is_reported(settings):
+    """x = cos t is below -0.5 from 2 pi / 3 on; a step beyond that is repeated."""
+    system = cosim.couple({"plant": swing(), "b": follower()}, {"plant.u": "b.y", "b.u": "plant.x"})
+    run = system.simulate(stop_time=3.0, **settings)
+    assert run.stats["invalid"] == ["invalid from 2.0944 s: plant: not fulfilled: x is high"]
+    assert run.validity[0] == pytest.approx(2 * np.pi / 3, abs=1e-6)
+    assert "invalid" not in system.simulate(stop_time=2.0, **settings).stats
 
 
 @pytest.mark.parametrize("settings", [{}, {"macro_step": 0.01}])

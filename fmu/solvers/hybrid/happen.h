@@ -46,12 +46,18 @@ static inline bool decide(const Laws *laws, const Switching *s, const Point *at,
 
 /* -- the start -------------------------------------------------------------------------------- */
 
+/* Modes of relations of time alone by their values at a time. */
 static inline void modes_of_time(const Laws *laws, const Point *at, double t, double modes[]) {
     double arguments[MODES + 1], rates[MODES + 1];
     if (!laws->timed(laws->owner, at, t, arguments, rates)) return;
-    for (int i = 0; i < MODES; i++)
-        if (laws->relations[i].of_time && isfinite(arguments[i]))
-            modes[i] = mode_by_value(laws->relations[i].floor, arguments[i]);
+    for (int i = 0; i < MODES; i++) {
+        const Relation *relation = &laws->relations[i];
+        if (!relation->of_time || !isfinite(arguments[i])) continue;
+        if (relation->floor || arguments[i] != 0)
+            modes[i] = mode_by_value(relation->floor, arguments[i]);
+        else if (relation->at_zero != KEEPS)
+            modes[i] = relation->at_zero;
+    }
 }
 
 /* The conditions before the start: at a boundary, where only the value has been decisive; of

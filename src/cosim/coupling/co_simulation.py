@@ -17,12 +17,20 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
 from cosim.coupling.estimate import OF_A_RUN, estimated_error
-from cosim.coupling.failures import EndlessEvents, Wiring, as_models, endless_part, failure
+from cosim.coupling.failures import (
+    EndlessEvents,
+    Wiring,
+    as_models,
+    endless_part,
+    failure,
+    notes_of,
+    violations,
+)
 from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import REALS, by_name, why_it_ended
+from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, output_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
@@ -359,6 +367,7 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
+        stats |= invalidity(violations(self._wiring, parts))
         run = Trajectory(
             self.name,
             times,
@@ -369,7 +378,7 @@ class CoSimulation:
             events=self._events(),
         )
         recorded = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
-        notes = [*self._notes(system, settings), *filter(None, [rounding(recorded, run)])]
+        notes = [*notes_of(system, self._wiring), *filter(None, [rounding(recorded, run)])]
         if notes:
             stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
@@ -418,21 +427,6 @@ class CoSimulation:
             found[name] = ", ".join(words)
         return found
 
-    def _notes(self, system: SystemOfC, settings: Settings) -> list[str]:
-        notes = []
-        if system.unsettled or (settings.macro_step and system.mismatch >= 1):
-            every = f"{system.unsettled} of {system.macro_steps} macro steps did not settle: "
-            notes.append(
-                f"{every if system.unsettled else ''}inputs and outputs differ by up to "
-                f"{system.mismatch:.1g} of their size; give a shorter macro_step, or accuracy"
-            )
-        fixed = [n for n, part in self.parts.items() if not part.rolls_back]
-        if fixed and settings.macro_step is None:
-            notes.append(
-                f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected"
-            )
-        return notes
-
     @property
     def recorded(self) -> list[tuple[str, str]]:
         """What a run records by default: all outputs and connected inputs, by part and name."""
@@ -477,6 +471,7 @@ class CoSimulation:
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
             place.event_mode = part.event_mode
+            part.instance.violations.counter = place
             place.own_step = own_step.get(name, 0.0)
         return parts, held
 

@@ -1,6 +1,6 @@
-"""Why a co-simulation failed: the sentence for each ending of fmu/master/coupling.h."""
+"""Why a co-simulation failed, by each ending of fmu/master/coupling.h, and notes on its run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -11,6 +11,7 @@ from cosim.arrays import Vector
 from cosim.coupling.opened_part import OpenedPart
 from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
+from cosim.text import Violation
 
 _ZENO = "(Zeno)"  # in messages of FMUs made here
 _AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
@@ -116,6 +117,28 @@ def failure(
         remedy = as_models(wiring) if _ZENO in why else shorter if discards else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"
     return f"it failed at {time}"
+
+
+def notes_of(system: Any, wiring: Wiring) -> list[str]:
+    """Return notes on what limits the accuracy of a run."""
+    notes = []
+    if system.unsettled or (system.macro_step and system.mismatch >= 1):
+        every = f"{system.unsettled} of {system.macro_steps} macro steps did not settle: "
+        notes.append(
+            f"{every if system.unsettled else ''}inputs and outputs differ by up to "
+            f"{system.mismatch:.1g} of their size; give a shorter macro_step, or accuracy"
+        )
+    fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
+    if fixed and not system.macro_step:
+        notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
+    return notes
+
+
+def violations(wiring: Wiring, places: Any) -> Iterator[Violation]:
+    """Yield the violated validity conditions of parts, of those steps that were not repeated."""
+    for (name, part), place in zip(wiring.parts.items(), places, strict=True):
+        for one in part.instance.violations[: place.violations]:
+            yield Violation(one.time, f"{name}: {one.what}")
 
 
 def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:

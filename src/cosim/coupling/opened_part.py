@@ -143,6 +143,7 @@ class OpenedPart:
             )
         instance.logged_events.clear()
         instance.log_texts.clear()
+        instance.violations.clear()
         begin_initialization(self.instance, self.description, values, **experiment)
 
     def feeds(self) -> NDArray[np.int64]:

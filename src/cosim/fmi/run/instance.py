@@ -3,12 +3,13 @@
 import ctypes
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from enum import StrEnum
 from functools import cache, lru_cache
 from itertools import count
 from math import inf
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -274,7 +275,7 @@ def instantiated(
     Raises:
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
-    log, events, violations = list[str](), list[tuple[float, str]](), list[Violation]()
+    log, events, violations = list[str](), list[tuple[float, str]](), Violations()
 
     def collect(*arguments: Any) -> None:
         """Keep the message, the last argument in every version of the FMI, unless all is well."""
@@ -283,7 +284,7 @@ def instantiated(
         if status != _OK:
             log.append(words)
             if left := _LEFT.search(words):
-                violations.append(Violation(float(left[1]), left[2]))
+                violations.note(Violation(float(left[1]), left[2]))
         elif event := _EVENT.search(words):
             events.append((float(event[1]), event[2]))
 
@@ -308,6 +309,32 @@ def instantiated(
         instance.logged_events, instance.log_texts = events, log
         instance.violations = violations
         yield instance, explained
+
+
+class Violations(list[Violation]):
+    """What an instance has logged about validity conditions.
+
+    Attributes:
+        counter: Has in `violations` how many are left, where a master takes steps back.
+    """
+
+    counter: Any = None
+
+    def note(self, one: Violation) -> None:
+        """Add one."""
+        if self.counter is not None:
+            del self[self.counter.violations :]
+            self.counter.violations += 1
+        self.append(one)
+
+
+def invalidity(violations: Iterable[Violation]) -> dict[str, Any]:
+    """Return the statistics of a run that tell the first violation of each condition."""
+    first = dict[str, Violation]()
+    for violation in sorted(violations, key=attrgetter("time")):
+        first.setdefault(violation.what, violation)
+    found = [*first.values()]
+    return {"invalid": found, "invalid_from": found[0].time} if found else {}
 
 
 def why_it_ended(texts: Sequence[str]) -> str:

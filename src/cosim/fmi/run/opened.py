@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from enum import StrEnum
 from math import isfinite
-from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -31,6 +30,7 @@ from cosim.fmi.run.instance import (
     enter_continuous_time,
     initialize,
     instantiated,
+    invalidity,
     read_description,
     why_it_ended,
 )
@@ -40,7 +40,6 @@ from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Growth
-from cosim.text import Violation
 from cosim.trajectory import Event, Trajectory
 
 
@@ -117,14 +116,9 @@ class OpenedFmu:
         done = perf_counter()
         if (end := found.stats.get("stop_time")) is not None:
             found.stats["stop"] = f"{why_it_ended(instance.log_texts)} from {end:.12g} s on"
-        first = dict[str, Violation]()  # of each condition
-        for violation in sorted(instance.violations, key=attrgetter("time")):
-            first.setdefault(violation.what, violation)
-        if first:
-            invalid = [*first.values()]
-            found.stats.update(invalid=invalid, invalid_from=invalid[0].time)
         stats = {
             **found.stats,
+            **invalidity(instance.violations),
             "solver": f"{master} {self.interface}",
             "solve_time": done - ready,
             "wall_time": done - began,
