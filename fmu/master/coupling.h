@@ -15,7 +15,8 @@ enum { MOST_FORCED = 1000, WINDOW = 2000 /* attempts */ };
 
 static const double SAFE = 0.8, SHORTER = 0.2;                    /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
-static const double HARDLY = 1e-3;                                /* progress, of the span */
+static const double MOST_BY_RATE = 4.0 / 27; /* of s (1 - s)^2, which a rate adds to a cubic */
+static const double HARDLY = 1e-3;           /* progress, of the span */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
 
 /* Whether all that the parts have recorded in a row are numbers. Returns how the run goes on. */
@@ -281,16 +282,47 @@ static inline int jumped(Coupling *self) {
     return change > 0 && jump_of(self) >= change;
 }
 
+/* Find the inputs that jump as the last step begins, as a small heat capacity off its balance does:
+ * the rate there moves their cubic further than they have moved, or by more than their size. */
+static inline int find_jumps(Coupling *self, int accepted) {
+    System *system = self->system;
+    const long long m = system->inputs;
+    int any = 0;
+    as_vector(self, &self->now, self->change);
+    for (long long k = 0; k < m; ++k) {
+        const double value = fabs(self->found[k] - self->change[k]),
+                     rate = fabs(self->found[m + k]);
+        const double moved = accepted ? fmax(fmax(value, rate), system->tolerance) : 1;
+        self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, 1);
+        if (self->jumps[k] == 0) continue;
+        any = 1;
+        system->jumping = k;
+    }
+    system->jumps += any;
+    return any;
+}
+
+/* A macro step of a given length; it is repeated without what inputs do that jump as it begins. */
+static inline int given_step(Coupling *self) {
+    double error = 0;
+    const int repeats = self->all_roll_back && iterates(self);
+    memset(self->jumps, 0, (size_t)self->system->inputs * sizeof *self->jumps);
+    const int how = macro_step(self, iterates(self), &error);
+    if (!repeats || how > REJECTED || !find_jumps(self, how == ACCEPTED)) return how;
+    self->system->how = CALL_FAILED; /* of going back */
+    return restore_all_but(self, NULL) ? BROKEN : macro_step(self, 1, &error);
+}
+
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
     for (long long n = 1;
          system->time < system->stop && !same_time(system, system->time, system->stop);) {
         if (halted) return INTERRUPTED;
-        double error = 0, end = fmin(system->start + (double)n * system->macro_step, system->stop);
+        double end = fmin(system->start + (double)n * system->macro_step, system->stop);
         if (same_time(system, end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
-        const int how = macro_step(self, iterates(self), &error);
+        const int how = given_step(self);
         if (how == BROKEN) return (int)system->how;
         if (how == REJECTED) return self->reason;
         if (how == EVENT_WITHIN) {
@@ -320,7 +352,7 @@ static inline double *take(double **memory, long long count) {
 static inline int make_room(Coupling *self) {
     const long long m = self->system->inputs + 1, y = self->system->outputs + 1, n = 2 * m;
     const long long count =
-        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 4 * m + n + 4 * n + n * (2 + 3 * MOST_KEPT);
+        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 5 * m + n + 4 * n + n * (2 + 3 * MOST_KEPT);
     double *memory = self->memory = calloc((size_t)count, sizeof *memory);
     if (!memory) return 1;
     Interface *points[2 + PAST] = {&self->now, &self->next};
@@ -335,6 +367,7 @@ static inline int make_room(Coupling *self) {
     self->matrix = take(&memory, m * m);
     self->part_u = take(&memory, m);
     self->given = take(&memory, 3 * m);
+    self->jumps = take(&memory, m);
     self->change = take(&memory, n);
     self->w = take(&memory, n);
     self->found = take(&memory, 2 * n);

@@ -43,6 +43,7 @@ typedef struct {
     const char *function;
     double time, mismatch; /* of inputs and outputs where steps are given, the largest */
     double noise;          /* of an input, in its scale, where it keeps steps from getting longer */
+    long long jumps, jumping; /* given macro steps as which an input jumps; the last such input */
 } System;
 
 /* Whether two times of a run are the same but for rounding. */
@@ -74,7 +75,7 @@ typedef struct {
     int rateless;    /* whether rates that follow from values are not known at the present point */
     int agreed_at;   /* the pass in which the last step's interface agreed */
     double mismatch; /* of outputs and inputs, at output times within the step */
-    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best;
+    double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best, *jumps;
     FixedPoint iteration;
     Crew crew; /* of `Stepper`s; none if its count is 0 */
     double *memory, *crew_numbers;

@@ -22,10 +22,18 @@ static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
 static const double LONGER = 2.0;   /* of macro steps, times the one before */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
-/* A cubic by its derivatives at the time `since` after the first of two points. */
-static inline void cubic_at(const Interface *a, const Interface *b, long long k, double since,
+/* The cubic of an input within the macro step by its derivatives at the time `since` its begin; one
+ * that has jumped there is the line through value and rate at the end. */
+static inline void cubic_at(const Coupling *self, long long k, double since,
                             double derivatives[4]) {
+    const Interface *a = &self->now, *b = &self->next;
     const double h = b->t - a->t, difference = b->u[k] - a->u[k];
+    if (self->jumps[k] != 0) {
+        derivatives[0] = b->u[k] - (h - since) * b->r[k];
+        derivatives[1] = b->r[k];
+        derivatives[2] = derivatives[3] = 0;
+        return;
+    }
     const double rounding = 8 * DBL_EPSILON * fmax(fabs(a->u[k]), fabs(b->u[k]));
     const double chord = /* the rates tell it where the values are too near to each other */
         fabs(difference) <= rounding ? (a->r[k] + b->r[k]) / 2 : difference / h;
@@ -43,8 +51,7 @@ static inline int drive(Coupling *self, const Part *part, double since, double l
     const long long n = part->inputs, first = part->first_input;
     for (long long i = 0; i < n; ++i) {
         double d[4] = {self->next.u[first + i]};
-        if (self->system->method >= EXTRAPOLATED)
-            cubic_at(&self->now, &self->next, first + i, since, d);
+        if (self->system->method >= EXTRAPOLATED) cubic_at(self, first + i, since, d);
         const double mean = d[0] + length * (d[1] / 2 + length * (d[2] / 6 + length * d[3] / 24));
         const double chord = d[1] + length * (d[2] / 2 + length * d[3] / 6);
         u[i] = part->order == MOST_ORDER ? d[0] : mean - (part->order ? chord * length / 2 : 0);
@@ -64,7 +71,7 @@ static inline int set_to_cubics(Coupling *self, const Part *part, double since) 
     if (self->system->method < EXTRAPOLATED) return 0;
     for (long long i = 0; i < part->inputs; ++i) {
         double d[4];
-        cubic_at(&self->now, &self->next, part->first_input + i, since, d);
+        cubic_at(self, part->first_input + i, since, d);
         self->part_u[i] = d[0];
     }
     return part_set(&self->fmu, part, self->part_u);
@@ -93,7 +100,7 @@ static inline int compare_with_cubics(Coupling *self, const Part *part, double s
         const long long output = system->source[k] - part->first_output;
         if (output < 0 || output >= part->outputs) continue;
         double d[4];
-        cubic_at(&self->now, &self->next, k, since, d);
+        cubic_at(self, k, since, d);
         double off = fabs(driven(self, k) - d[0]) / size_of(system, k, d[0]);
         if (system->held[k]) off = off > 0 && !system->macro_step ? INFINITY : 0; /* it switches */
         if (!(off <= self->mismatch)) self->mismatch = off;
@@ -117,8 +124,8 @@ static inline long long pieces_of(const Coupling *self, const Part *part, double
     if (part->order || system->method < EXTRAPOLATED || system->macro_step > 0) return 1;
     for (long long i = part->first_input; i < part->first_input + part->inputs; ++i) {
         double a[4], b[4];
-        cubic_at(&self->now, &self->next, i, since, a);
-        cubic_at(&self->now, &self->next, i, since + length, b);
+        cubic_at(self, i, since, a);
+        cubic_at(self, i, since + length, b);
         const double rate = fmax(fabs(a[1]), fabs(b[1]));
         change = fmax(change, rate * length / size_of(system, i, a[0]));
     }
@@ -302,8 +309,9 @@ static inline void predict(const Coupling *self, int points, Interface *next) {
             rate = value + since * rate;
             value = d[i] + since * value;
         }
-        next->u[k] = self->system->held[k] ? self->now.u[k] : value;
-        next->r[k] = self->system->held[k] ? 0 : rate;
+        const int stays = self->system->held[k] || self->jumps[k] != 0;
+        next->u[k] = stays ? self->now.u[k] : value;
+        next->r[k] = stays ? 0 : rate;
     }
 }
 
@@ -451,7 +459,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         const double correction = largest(n, self->found, predicted);
         if (pass == 0) first = left;
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
-        const int diverges = !isfinite(left) || left > DIVERGED * first;
+        const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
         agreed = left <= fmax(share * correction, ROUNDED);
         if (agreed) self->agreed_at = pass;

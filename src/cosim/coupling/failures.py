@@ -128,6 +128,12 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
             f"{every if system.unsettled else ''}inputs and outputs differ by up to "
             f"{system.mismatch:.1g} of their size; give a shorter macro_step, or accuracy"
         )
+    if system.jumps:
+        notes.append(
+            f"{'.'.join(wiring.inputs[system.jumping])} jumps as {system.jumps} of "
+            f"{system.macro_steps} macro steps begin: its course there is left out; give a shorter "
+            "macro_step, or accuracy"
+        )
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
