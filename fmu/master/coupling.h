@@ -296,7 +296,7 @@ static inline int find_jumps(Coupling *self, int accepted) {
         self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, 1);
         if (self->jumps[k] == 0) continue;
         any = 1;
-        system->jumping = k;
+        system->noted = k;
     }
     system->jumps += any;
     return any;

@@ -43,7 +43,7 @@ typedef struct {
     const char *function;
     double time, mismatch; /* of inputs and outputs where steps are given, the largest */
     double noise;          /* of an input, in its scale, where it keeps steps from getting longer */
-    long long jumps, jumping; /* given macro steps as which an input jumps; the last such input */
+    long long jumps, noted; /* given macro steps as which an input jumps; the input of a note */
 } System;
 
 /* Whether two times of a run are the same but for rounding. */

@@ -481,7 +481,10 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         self->reason = may_be_shortened(self) ? STEP_VANISHED : UNSETTLED;
         return REJECTED;
     }
-    system->unsettled += !agreed && !may_be_shortened(self) && best > system->tolerance;
+    if (!agreed && !may_be_shortened(self) && best > system->tolerance) {
+        ++system->unsettled;
+        system->noted = worst_input(self, w);
+    }
     const double h = self->next.t - self->now.t;
     const double before = self->known ? self->now.t - self->past[0].t : h;
     *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;

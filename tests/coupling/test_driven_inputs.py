@@ -102,7 +102,7 @@ def test_command_line_takes_formulas_and_tables_with_an_fmu(file, pair, tmp_path
         ({"a.x": "t"}, UsageError, "a.x is no input"),
         ({"a.force": "t"}, UsageError, "a.force is connected or has a value"),
         ({"c.x": "t"}, UnknownName, "part 'c'"),
-        ({"a.kick": "x + 1"}, UnknownName, r"a_kick: .* has no name .x."),
+        ({"a.kick": "x + 1"}, UnknownName, r"a.kick: .* has no name .x."),
         ({"a.kick": "sin("}, ParameterError, "is no formula"),
         (5, UsageError, "inputs was given 5"),
         (

@@ -503,6 +503,30 @@ def test_parts_that_hold_the_sides_of_a_relation_slide_together(settings):
 
 
 @pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
+def test_wheels_that_start_at_rest_stick_from_the_start(settings):
+    """'R is nan at time 5.8e-129' before."""
+    parts, wires = sliding_wheels()
+    parts["a"] = wheel("fast", 0.2, 5.0, 0.0)
+    run = cosim.couple(parts, wires).simulate(stop_time=1.0, **settings)
+    for name in ("a.w", "b.w"):
+        np.testing.assert_allclose(run[name], 5 / 0.7 * run.time, rtol=0, atol=1e-9)
+
+
+def test_sliding_parts_that_are_no_one_model_end_in_the_error_of_the_parts():
+    """A loop of a gain so near to 1 that it is singular as one model; 'ValueError' before."""
+    parts, wires = sliding_wheels()
+    for name, gain in (("a", 1.0), ("b", 1 - 1e-13)):
+        model = cosim.Model(name, stop_time=1.0)
+        w, torque = model.state("w", "rad/s", 0.0, "speed"), model.input("T", "N.m", 0.0, "torque")
+        model.derivative(w, 5 * gain * (name == "a") + torque)
+        model.output("y", "1", gain * model.input("u", "1", 0.0, "u"), "y")
+        parts[name] = model.freeze()
+    wires |= {"a.u": "b.y", "b.u": "a.y"}
+    with pytest.raises(SolverError, match="Zeno"):
+        cosim.couple(parts, wires).simulate(stop_time=1.0)
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
 def test_sliding_on_a_part_of_unknown_equations_names_it(settings, tmp_path):
     parts, wires = sliding_wheels()
     parts["b"] = str(cosim.export_fmu(parts["b"], tmp_path / "slow.fmu"))

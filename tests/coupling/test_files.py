@@ -258,3 +258,8 @@ def test_options_that_do_not_fit_are_rejected(words, message, ssp, capsys, tmp_p
     assert main([str(ssp) if word == "SSP" else word for word in words]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_file_is_reported_before_options_that_do_not_fit(capsys):
+    assert main(["simulate", "missing.toml", "--method", "jacobi"]) == 3
+    assert "has no scene 'missing.toml'" in capsys.readouterr().err

@@ -57,9 +57,10 @@ def scene_or_none(args: argparse.Namespace) -> Scene | None:
         system = read_system(args.model)
         _report_undriven_inputs(args, system)
         return None if has_method or not system.is_model else scene_from(args)
+    scene = scene_from(args)  # which there may be none
     if has_method:
         raise UsageError("--method and --macro-step are for coupled systems")
-    return scene_from(args)
+    return scene
 
 
 def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:

@@ -121,18 +121,20 @@ def failure(
 
 def notes_of(system: Any, wiring: Wiring) -> list[str]:
     """Return notes on what limits the accuracy of a run."""
-    notes = []
-    if system.unsettled or (system.macro_step and system.mismatch >= 1):
-        every = f"{system.unsettled} of {system.macro_steps} macro steps did not settle: "
-        notes.append(
-            f"{every if system.unsettled else ''}inputs and outputs differ by up to "
-            f"{system.mismatch:.1g} of their size; give a shorter macro_step, or accuracy"
-        )
+    notes, noted = [], ".".join(wiring.inputs[system.noted]) if wiring.inputs else ""
+    differ = (
+        f"inputs and outputs differ by up to {system.mismatch:.1g} of their size; give a shorter "
+        "macro_step, or accuracy"
+    )
+    every, remedy = f"of {system.macro_steps} macro steps", as_models(wiring)
+    if system.unsettled:
+        notes.append(f"{noted} did not settle in {system.unsettled} {every}: {differ}{remedy}")
+    elif system.macro_step and system.mismatch >= 1:
+        notes.append(differ)
     if system.jumps:
         notes.append(
-            f"{'.'.join(wiring.inputs[system.jumping])} jumps as {system.jumps} of "
-            f"{system.macro_steps} macro steps begin: its course there is left out; give a shorter "
-            "macro_step, or accuracy"
+            f"{noted} jumps as {system.jumps} {every} begin: its course there is left out; give a "
+            "shorter macro_step, or accuracy"
         )
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:

@@ -7,6 +7,7 @@ from typing import Any
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
 from cosim.coupling.part import Part, part_of
+from cosim.errors import UsageError
 from cosim.trajectory import Trajectory
 
 Name = tuple[str, str]  # part and variable
@@ -27,6 +28,16 @@ def sliding_parts(
     sides = {holder} | {w.output[0] for w in connections if w.input[0] == holder} & feeling
     known = all(isinstance(parts[name].subject, Dae) for name in sides)
     return tuple(sorted(sides)) if known and len(sides) > 1 else ()  # in any order the same bits
+
+
+def one_model(
+    name: str, title: str, models: Mapping[str, Dae], connections: Sequence[Connection]
+) -> Dae:
+    """Return all models as one; raises UsageError where that is impossible."""
+    try:
+        return joined(name, title, models, connections)
+    except ValueError as error:
+        raise UsageError(f"{name}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -57,7 +68,7 @@ class Merged:
         outer = [w for w in connections if w not in inner]
         daes = {n: p.subject for n, p in parts.items() if n in self.names}
         models = {name: dae for name, dae in daes.items() if isinstance(dae, Dae)}
-        dae = joined(self.whole, "", models, inner)
+        dae = one_model(self.whole, "", models, inner)
         driving = (self.inside(w.output) for w in outer)
         dae = replace(dae, driving=tuple(name for part, name in driving if part == self.whole))
         others = {name: part for name, part in parts.items() if name not in self.names}

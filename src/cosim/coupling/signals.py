@@ -1,6 +1,5 @@
 """`Signals`: a part of a system that drives inputs by formulas of time and tables."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -66,12 +65,19 @@ class Signals:
         laws, wires = dict[str, Any](), list[Connection]()
         for text, law in inputs.items():
             unit, ends = _driven(owner, parts, connectors, text)
-            symbol = re.sub(r"\W", "_", text)
-            model.output(f"{symbol}_signal", unit, model.input(symbol, unit, 0.0, text), text)
-            laws[symbol] = law
-            source = name, f"{symbol}_signal"
+            symbol = model.input(f"u{len(laws)}", unit, 0.0, text)
+            model.output(f"y{len(laws)}", unit, symbol, text)
+            laws[text] = law
+            source = name, f"{text}_signal"
             wires += [Connection(end.variable, source, end.factor, end.offset) for end in ends]
-        dae = _following(model.freeze(), laws, times)
+        dae = model.freeze()  # whose names are no identifiers, but those of messages
+        inputs_of, outputs = (
+            tuple(replace(v, name=f"{text}{end}") for v, text in zip(own, laws, strict=True))
+            for own, end in ((dae.inputs, ""), (dae.output_variables, "_signal"))
+        )
+        observed = tuple(v.name for v in outputs)
+        dae = replace(dae, inputs=inputs_of, output_variables=outputs, observed=observed)
+        dae = _following(dae, laws, times)
         dae = replace(dae, driving=tuple(v.name for v in dae.output_variables))
         return cls(name, part_of(name, dae), tuple(wires))
 

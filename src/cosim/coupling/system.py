@@ -11,11 +11,11 @@ from typing import Any, Unpack
 from weakref import finalize
 
 from casadi_models.dae import Dae
-from casadi_models.dae.coupled import Connection, joined
+from casadi_models.dae.coupled import Connection
 from cosim.coupling.co_simulation import CoSimulation, Method, Settings
 from cosim.coupling.connectors import Connector, with_outputs
 from cosim.coupling.failures import EndlessEvents
-from cosim.coupling.merged import Merged, sliding_parts
+from cosim.coupling.merged import Merged, one_model, sliding_parts
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, free_name, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
@@ -152,10 +152,7 @@ class System:
                 )
             own = {v: value for (p, v), value in self.start_values.items() if p == name}
             models[name] = requested(subject, start_values=own).configured() if own else subject
-        try:
-            dae = joined(self.name, self.title, models, self.connections)
-        except ValueError as error:
-            raise UsageError(f"{self.name}: {error}") from None
+        dae = one_model(self.name, self.title, models, self.connections)
         experiment = replace(
             dae.experiment,
             stop_time=self.stop_time or dae.experiment.stop_time,
@@ -318,7 +315,7 @@ class System:
                 raise
             try:
                 return self._run_merged(names, settings, given, recorded)
-            except SolverError:
+            except (SolverError, UsageError):
                 raise error from None
 
     def _run_merged(
