@@ -41,7 +41,7 @@ from cosim.trajectory import Column, Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
-_SMOOTH, _OTHERS = 1.5, 0.25  # tolerance of the first run, of the accuracy
+_FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third run is usual
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _TIGHTEST = 1e-13
 
@@ -192,7 +192,7 @@ class CoSimulation:
         last, steps, ratio, before, jumps_before = None, 0, 1.0, 0.0, np.empty(0, dtype=bool)
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
-        tolerance = first = max((_SMOOTH if smooth else _OTHERS) * accuracy, 2 * _TIGHTEST)
+        tolerance = first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
