@@ -566,3 +566,27 @@ def test_a_sampled_file_of_fmi_2_steps_to_its_samples(tmp_path):
         run = system.simulate(stop_time=1.0, output_interval=0.05, accuracy=accuracy)
         error = np.abs(run["plant.x"] - right).max()
         assert error <= run.stats["error_estimate"] <= accuracy
+
+
+def timer(name, level, rate):
+    """A relay that charges and discharges: two events in a macro step of 0.5 s."""
+    model = cosim.Model(name, stop_time=2.0, output_interval=0.1)
+    u, x = model.input("u", "1", 0.0, "u"), model.state("x", "1", 0.0, "charge")
+    q = model.discrete("q", "1", 1.0, "state")
+    model.derivative(x, rate * q - x + 0.3 * ca.sin(u))
+    model.when(x > level, {q: 0}, name="off")
+    model.when(x < level / 2, {q: 1}, name="on")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.5}], ids=str)
+def test_the_order_of_parts_with_events_changes_no_bit(settings):
+    parts = {"a": timer("a", 0.8, 3.0), "b": timer("b", 0.5, 4.0), "c": timer("c", 0.6, 5.0)}
+    wires = {"a.u": "c.x", "b.u": "a.x", "c.u": "b.x"}
+    first, second = (
+        cosim.couple(own, wires).simulate(**settings)
+        for own in (parts, dict(reversed(parts.items())))
+    )
+    assert first.events == second.events
+    for name in first.names:
+        np.testing.assert_array_equal(first[name], second[name])
