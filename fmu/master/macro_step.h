@@ -234,7 +234,7 @@ static inline void step_member(void *member) {
     self->how = step_again(&self->own, part, self->pass, self->recording);
 }
 
-/* The part whose turn it is to step; by their declared order only where the result depends on it. */
+/* The part whose turn it is; in their declared order only where the result depends on it. */
 static inline long long part_at(const System *system, long long turn) {
     if (system->method != GAUSS_SEIDEL) return turn;
     long long p = 0;
