@@ -298,7 +298,6 @@ static inline int find_jumps(Coupling *self, int accepted) {
         any = 1;
         system->noted = k;
     }
-    system->jumps += any;
     return any;
 }
 
@@ -330,6 +329,7 @@ static inline int run_fixed(Coupling *self) {
             if (passed != DONE) return passed;
             continue;
         }
+        system->jumps += largest(system->inputs, self->jumps, NULL) > 0;
         const double given = largest(system->inputs, self->found, self->w);
         system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
         const int jumps = jumped(self);

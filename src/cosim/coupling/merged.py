@@ -8,6 +8,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
 from cosim.coupling.part import Part, part_of
 from cosim.errors import UsageError
+from cosim.text import Violation
 from cosim.trajectory import Trajectory
 
 Name = tuple[str, str]  # part and variable
@@ -92,6 +93,11 @@ class Merged:
         together = f"{' and '.join(self.names)} slide on each other: they are simulated as one part"
         notes = [*filter(None, [run.stats.get("note")]), together]
         stats = {**run.stats, "note": "; ".join(notes)}
+        if "invalid" in stats:
+            texts = (
+                (one.time, one.what.removeprefix(f"{self.whole}: ")) for one in stats["invalid"]
+            )
+            stats["invalid"] = [Violation(*text) for text in texts]
         if "error_estimate_of" in stats:
             stats["error_estimate_of"] = stats["error_estimate_of"].removeprefix(prefix)
         found = replace(run, columns=columns, events=events, stats=stats)
