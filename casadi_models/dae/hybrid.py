@@ -19,8 +19,10 @@ from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, applied, replayed
-from casadi_models.dae.time_bounds import TimeBounds, time_bounds
+from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
 from casadi_models.dae.variables import Variable
+
+_MOST_OPERATIONS = 500  # of an argument whose bounds over a part of a step tell something
 
 _LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
     ca.OP_AND: lambda a, b: a * b,
@@ -114,6 +116,29 @@ class Hybrid:
         kinds = enumerate(zip(self.of_time, self.linear, strict=True))
         bent = [i for i, (alone, linear) in kinds if alone and not linear]
         return time_bounds(self.dae, {i: self.relations[i].argument for i in bent})
+
+    @cached_property
+    def enclosures(self) -> Enclosures:
+        """Bounds of the other arguments over a part of a step.
+
+        Left out are those that are linear, which move as steadily as the states, that depend on
+        algebraic unknowns, or whose bounds would be wide and dear.
+        """
+        moving = ca.vertcat(self.dae.t, self.dae.x, self.dae.u)
+        bent = ca.which_depends(self.arguments, moving, 2, True) if self.relations else []
+
+        def is_short(argument: SX) -> bool:
+            given = ca.symvar(argument)
+            return ca.Function("f", given, [argument]).n_instructions() <= _MOST_OPERATIONS
+
+        chosen = {
+            i: self.relations[i].argument
+            for i in self.of_states
+            if bent[i]
+            and not ca.depends_on(self.relations[i].argument, self.dae.z)
+            and is_short(self.relations[i].argument)
+        }
+        return enclosures(self.dae, chosen, len(self.relations))
 
     @cached_property
     def constant(self) -> list[int]:

@@ -1,4 +1,4 @@
-"""`time_bounds`: between which values expressions of time and their derivatives stay over a span.
+"""Between which values expressions and their derivatives stay over a span of time, or of states.
 
 Interval arithmetic on the graph, with expressions for the ends. Where an operation has a pole or no
 value within the span, the bounds of the derivatives are not finite.
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.expressions import column
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
@@ -40,6 +41,22 @@ class TimeBounds(NamedTuple):
     high: SX
 
 
+class Enclosures(NamedTuple):
+    """Bounds of arguments of relations over a part of a step.
+
+    Attributes:
+        given: Symbols of its length, s; of the least and greatest values of states and inputs, and
+            of their least and greatest rates.
+        relations: Positions of the relations whose bounds are known.
+        low, high: For each of these, bounds of the value and of the time derivative in turns.
+    """
+
+    given: tuple[SX, SX, SX, SX, SX]
+    relations: tuple[int, ...]
+    low: SX
+    high: SX
+
+
 class _UnknownError(Exception):
     """An operation whose bounds are not known."""
 
@@ -61,8 +78,8 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     lows, highs = list[SX](), list[SX]()
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
-        column = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        spans = _spans(column, dae.arguments, _from_here(length))
+        rows = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
+        spans = _spans(rows, dae.arguments, _from_here(length))
         if not spans:
             continue
         known.append(i)
@@ -70,6 +87,41 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
         highs += [span.high for span in spans]
     low, high = (ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (lows, highs))
     return TimeBounds(length, tuple(known), low, high)
+
+
+def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosures:
+    """Return the bounds of expressions of time, states and inputs, by position.
+
+    Args:
+        dae: Frozen equations.
+        expressions: Arguments of relations by their positions.
+        modes: How many of the last inputs are modes, which stay.
+    """
+    inputs = ca.vertsplit(dae.u)
+    free = len(inputs) - modes
+    moving = column([*ca.vertsplit(dae.x), *inputs[:free]])
+    n = moving.numel()
+    length = SX.sym("length")
+    low, high, slowest, fastest = (SX.sym(name, n) for name in ("l", "h", "s", "f"))
+    rates, stays = SX.sym("d", n), [column(inputs[free:]), dae.p]
+    starts = ca.vertcat(dae.t, low, slowest)
+    ends = ca.vertcat(dae.t + length, high, fastest)
+    known, found = list[int](), list[_Span]()
+    for i, value in expressions.items():
+        rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
+        rows, given = ca.vertcat(value, rate), ca.vertcat(dae.t, moving, rates)
+        spans = _spans(
+            ca.densify(rows),
+            [given, *stays],
+            lambda row, _: _Span(starts[row], ends[row], stays=False),
+        )
+        if not spans:
+            continue
+        found += spans
+        known.append(i)
+    bounds = (ca.densify(column(end)) for end in zip(*[s[:2] for s in found], strict=True))
+    least, most = bounds if found else (SX(0, 1), SX(0, 1))
+    return Enclosures((length, low, high, slowest, fastest), tuple(known), least, most)
 
 
 def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:

@@ -17,6 +17,7 @@
    model_rounding           t, x, z, u, p, sizes of x             -> changes of values
    model_timed              t, x, z, u, p                         -> arguments, rates
    model_bounds             t, x, z, u, p, length (1)             -> low, high
+   model_enclosure          t, length (1), low, high, slowest, fastest, u, p -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
    model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
 
@@ -36,12 +37,14 @@
    their changes if all that they depend on changes by its size; model_timed those of time alone,
    the others being 0, with partial derivatives. model_bounds gives, for each of the relations that
    are `bounded`, bounds of the argument and of its first and second derivative from t to t +
-   length; they are not finite where there are none. model_conditions gives the conditions of the
+   length; they are not finite where there are none. model_enclosure gives, for each of those that
+   are `enclosed`, bounds of the argument and of its rate over a length from t on, while states and
+   inputs and their rates are within spans. model_conditions gives the conditions of the
    events, the values that they assign, and the largest violation of an invariant.
 
    The functions of rank are there where model.h has HAS_RANK 1, model_adjoint where it has
    HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0, the functions of events where HAS_EVENTS
-   is 1, model_bounds where BOUNDED is positive. */
+   is 1, model_bounds where BOUNDED and model_enclosure where ENCLOSED is positive. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -56,12 +59,13 @@ static Equation model_algebraic, model_ode, model_outputs;
 static Equation model_directional, model_adjoint, model_jacobian, model_step;
 static Equation model_rank, model_rank_rate, model_project;
 static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
+static Equation model_enclosure;
 
 static WorkSize model_start_work, model_start_directional_work;
 static WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 static WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 static WorkSize model_rank_work, model_rank_rate_work, model_project_work;
 static WorkSize model_relations_work, model_rounding_work, model_timed_work;
-static WorkSize model_conditions_work, model_bounds_work;
+static WorkSize model_conditions_work, model_bounds_work, model_enclosure_work;
 
 #endif

@@ -35,6 +35,9 @@ static WorkSize *const work_sizes[] = {
 #if BOUNDED > 0
     model_bounds_work,
 #endif
+#if ENCLOSED > 0
+    model_enclosure_work,
+#endif
 };
 
 typedef struct {

@@ -24,12 +24,16 @@ static const ModelLaws model_laws = {
 #if BOUNDED > 0
     .bounds = model_bounds,
 #endif
+#if ENCLOSED > 0
+    .enclosure = model_enclosure,
+#endif
     .relation_table = relation_table,
     .rules = rule_table,
     .assigned = assigned_states,
     .adds = adding,
     .barriers = barring,
     .bounded = bounded_ones,
+    .enclosed = enclosed_ones,
 };
 
 Laws laws_of(Instance *self) {
@@ -176,6 +180,24 @@ static bool step_afresh(void *step, double t, Place *found) {
            margins_at(self, &(Point){t, x, z, u}, found);
 }
 
+static bool stays(void *step, const Place *a, const Place *b) {
+#if ENCLOSED > 0
+    SearchedStep *self = step;
+    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
+    Sample samples[NODES];
+    for (int k = NODES - 1; k >= 0; k--) {
+        self->motion->at(self->motion->solver, node_between(a->t, b->t, k), x, z, u);
+        memcpy(samples[k], x, NX * sizeof *x);
+        memcpy(samples[k] + NX, u, NU * sizeof *u);
+    }
+    return sampled_stays_within(&self->laws, &self->fmu->state.switching, &(Point){a->t, x, z, u},
+                                b->t - a->t, (const Sample *)samples, a->inside, b->inside);
+#else
+    (void)step, (void)a, (void)b;
+    return true;
+#endif
+}
+
 /* Boundaries that an event has displaced are where they were as soon as a step ends within them. */
 static void let_go(SearchedStep *self, double end) {
     Switching *s = &self->fmu->state.switching;
@@ -199,7 +221,7 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end,
     note_slack(&step.laws, s, &at);
     margins_at(&step, &at, &before);
     const Located how =
-        find_crossing(look_at, step_afresh, &step, s->slack, begin, before, end, crossing);
+        find_crossing(look_at, stays, step_afresh, &step, s->slack, begin, before, end, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
     return how != FAILS;
 }

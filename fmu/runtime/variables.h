@@ -19,6 +19,7 @@
 #define ASSIGNED 0
 #define DEFECTS 0
 #define BOUNDED 0
+#define ENCLOSED 0
 #define N_WATCHED 0
 #endif
 #if !defined N_PULSES

@@ -58,7 +58,9 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
     double x[NX], end[NX], t = grid->times[0];
     Watch *watch = MODES > 0 ? self->watch : NULL;
     Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    Step step = {watch, t, 0, &accepted, within_accepted, step_afresh, grid->times, {0}};
+    Step step = {
+        watch,   t,           0,  &accepted, within_accepted, step_afresh, (const double (*)[NX])k,
+        END + 1, grid->times, {0}};
     Place here, ahead;
     const double stop = grid->times[grid->points - 1];
     long long next = 1, trials = 0;
@@ -104,7 +106,8 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
                 look(watch, after, end, z_end, k[END], &ahead))
                 return NOT_FINITE;
-            if (crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &crossing))
+            if (crossing_of(&step, x, grid->times + next, out + next * NX, &here, &ahead,
+                            &crossing))
                 return NOT_FINITE;
             if (crossing.relation >= 0 && !(accepted.error <= 1)) {
                 h = (crossing.time - t) * growth(accepted.error, 1); /* a change was stepped over */

@@ -91,9 +91,17 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             made.t = t;
             made.h = end - t;
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
-            Step step = {watch, t, made.h, &made, within_made, step_shorter, NULL, {0}};
+            Step step = {.watch = watch,
+                         .t = t,
+                         .h = made.h,
+                         .motion = &made,
+                         .within = within_made,
+                         .step_to = step_shorter,
+                         .slopes = (const double (*)[NX])k,
+                         .stages = method.stages};
             Crossing crossing;
-            if (crossing_of(&step, grid->times + next, out + next * NX, &here, &ahead, &crossing))
+            if (crossing_of(&step, made.x, grid->times + next, out + next * NX, &here, &ahead,
+                            &crossing))
                 return NOT_FINITE;
             if (crossing.relation >= 0) {
                 course->reached = crossing.time;

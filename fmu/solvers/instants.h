@@ -8,6 +8,7 @@
 
 #include "interrupt.h"
 #include "model_laws.h"
+#include "search.h"
 
 #if !defined LAWS_ARG || !defined LAWS_RES || !defined LAWS_IW || !defined LAWS_W
 #error "define LAWS_ARG, LAWS_RES, LAWS_IW and LAWS_W, the workspace of the functions of the laws"
@@ -27,6 +28,12 @@ typedef struct {
     double size;
     long long replan, rounds;
 } Call;
+
+/* MotionRows of a motion, which is near a cubic from each to the next one. */
+typedef struct {
+    const double *times, *x, *dx, *u, *du; /* with modes */
+    const double *inside, *defects;        /* margins; what the slopes of the cubics are off by */
+} MotionRows;
 
 typedef struct {
     LawOwner owner;
@@ -55,9 +62,10 @@ static inline void tell(Call *call, const Ending *found) {
     call->size = found->size;
 }
 
-/* Sizes that Python compares: of a call, of `Switching` in numbers, and of the laws. */
+/* Sizes that Python compares: of structures, of `Switching` in numbers, and of the laws. */
 SHARED void cosim_kernel_sizes(long long *out) {
-    const long long sizes[] = {sizeof(Call), SWITCHING_SIZE, NX, NZ, NU, MODES, EVENTS};
+    const long long sizes[] = {sizeof(Call), sizeof(MotionRows), SWITCHING_SIZE, NX, NZ, NU, MODES,
+                               EVENTS};
     memcpy(out, sizes, sizeof sizes);
 }
 
@@ -117,6 +125,129 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
         measure(&self.laws, self.switching, modes + row, &seen, inside + row, towards + row);
     }
 }
+
+#if ENCLOSED > 0
+
+/* A cubic through values and slopes at both ends of a length, and its slope, at a share of it. */
+static inline double on_cubic(const double a, const double b, const double slopes[2], double length,
+                              double s, double *rate) {
+    const double r = 1 - s, change = (b - a) / length;
+    *rate = 6 * s * r * change + r * (1 - 3 * s) * slopes[0] + s * (1 - 3 * r) * slopes[1];
+    return a + s * s * (1 + 2 * r) * (b - a) + length * s * r * (r * slopes[0] - s * slopes[1]);
+}
+
+/* Widens spans by those of a cubic, and of what it may be off. */
+static inline void span_cubic(const double a, const double b, const double slopes[2], double length,
+                              double defect, int i, Spans *spans) {
+    const double first = a + length * slopes[0] / 3, last = b - length * slopes[1] / 3;
+    const double middle = 3 * (last - first) / length;
+    spans->low[i] = fmin(spans->low[i], fmin(fmin(a, b), fmin(first, last)) - length * defect);
+    spans->high[i] = fmax(spans->high[i], fmax(fmax(a, b), fmax(first, last)) + length * defect);
+    spans->slowest[i] =
+        fmin(spans->slowest[i], fmin(middle, fmin(slopes[0], slopes[1])) - 2 * defect);
+    spans->fastest[i] =
+        fmax(spans->fastest[i], fmax(middle, fmax(slopes[0], slopes[1])) + 2 * defect);
+}
+
+/* Whether no relation leaves its mode from one row to a later one. */
+static inline bool rows_stay(Kernel *self, const MotionRows *rows, long long first,
+                             long long last) {
+    Spans spans;
+    const double *inside = rows->inside + first * MODES;
+    for (int i = 0; i < NX + NU - MODES; i++) {
+        spans.low[i] = spans.slowest[i] = INFINITY;
+        spans.high[i] = spans.fastest[i] = -INFINITY;
+    }
+    for (long long k = first; k < last; k++) {
+        const double length = rows->times[k + 1] - rows->times[k];
+        const double *x = rows->x + k * NX, *dx = rows->dx + k * NX;
+        const double *u = rows->u + k * NU, *du = rows->du + k * NU;
+        if (!(length > 0)) continue;
+        for (int i = 0; i < NX; i++)
+            span_cubic(x[i], x[i + NX], (const double[]){dx[i], dx[i + NX]}, length,
+                       rows->defects[k * NX + i], i, &spans);
+        for (int i = 0; i < NU - MODES; i++)
+            span_cubic(u[i], u[i + NU], (const double[]){du[i], du[i + NU]}, length, 0, NX + i,
+                       &spans);
+    }
+    self->at.t = rows->times[first];
+    return stays_within(&self->laws, self->switching, &self->at,
+                        rows->times[last] - rows->times[first], &spans, inside,
+                        rows->inside + last * MODES);
+}
+
+enum { TOGETHER = 8 }; /* rows that are tried at once */
+
+/* From which of n rows to the next no relation leaves its mode. */
+SHARED void cosim_stay(Call *call, const MotionRows *rows, long long n, double *stay) {
+    Kernel self;
+    open_kernel(&self, call);
+    for (long long first = 0; first < n - 1; first += TOGETHER) {
+        const long long last = first + TOGETHER < n - 1 ? first + TOGETHER : n - 1;
+        const bool all = rows_stay(&self, rows, first, last);
+        for (long long k = first; k < last; k++) stay[k] = all || rows_stay(&self, rows, k, k + 1);
+    }
+}
+
+typedef struct {
+    Kernel *kernel;
+    const MotionRows *rows; /* two of them */
+} Cubic;
+
+static inline void move_on_cubic(const Cubic *self, double t, double x[], double u[], double du[]) {
+    const MotionRows *rows = self->rows;
+    const double length = rows->times[1] - rows->times[0], s = (t - rows->times[0]) / length;
+    double rate;
+    for (int i = 0; i < NX; i++)
+        x[i] = on_cubic(rows->x[i], rows->x[i + NX],
+                        (const double[]){rows->dx[i], rows->dx[i + NX]}, length, s, &rate);
+    for (int i = 0; i < NU; i++)
+        u[i] = on_cubic(rows->u[i], rows->u[i + NU],
+                        (const double[]){rows->du[i], rows->du[i + NU]}, length, s, &du[i]);
+}
+
+static inline void look_on_cubic(void *cubic, double t, Place *found) {
+    const Cubic *self = cubic;
+    Kernel *kernel = self->kernel;
+    double x[NX + 1], z[NZ + 1], u[NU + 1], du[NU + 1];
+    const Point at = {t, x, z, u};
+    Seen seen;
+    found->t = t;
+    move_on_cubic(self, t, x, u, du);
+    memcpy(z, kernel->at.z, NZ * sizeof *z);
+    kernel->owner.slopes = du;
+    const bool valued = look_closely(&kernel->laws, kernel->switching, &at, &seen);
+    if (valued)
+        measure(&kernel->laws, kernel->switching, modes_of(&at), &seen, found->inside,
+                found->rates);
+    for (int i = 0; i < MODES && !valued; i++) found->inside[i] = 1, found->rates[i] = 0;
+}
+
+static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
+    const Cubic *self = cubic;
+    Sample samples[NODES];
+    double du[NU + 1];
+    for (int k = 0; k < NODES; k++)
+        move_on_cubic(self, node_between(a->t, b->t, k), samples[k], samples[k] + NX, du);
+    const Point at = {a->t, self->kernel->at.x, self->kernel->at.z, self->kernel->at.u};
+    return sampled_stays_within(&self->kernel->laws, self->kernel->switching, &at, b->t - a->t,
+                                (const Sample *)samples, a->inside, b->inside);
+}
+
+/* Where a relation leaves its mode between two rows: the relation, or -1. */
+SHARED long long cosim_search(Call *call, const MotionRows *rows, double *time) {
+    Kernel self;
+    Cubic cubic = {&self, rows};
+    Place before;
+    open_kernel(&self, call);
+    look_on_cubic(&cubic, rows->times[0], &before);
+    const Crossing found =
+        crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, rows->times[1]);
+    *time = found.time;
+    return found.relation;
+}
+
+#endif
 
 /* Boundaries that an event has displaced are back where arguments have been inside since. */
 SHARED void cosim_note_inside(Call *call, const double *modes, const double *arguments) {

@@ -14,13 +14,13 @@
 
 /* Generated code fills it. */
 typedef struct {
-    Equations *algebraic, *relations, *rounding, *timed, *conditions, *bounds;
+    Equations *algebraic, *relations, *rounding, *timed, *conditions, *bounds, *enclosure;
     Equations *inputs;              /* NULL where inputs rest within a step */
     const Relation *relation_table; /* tables: see Laws */
     const Rule *rules;
     const int *assigned;
     const bool *adds;
-    const int *barriers, *bounded;
+    const int *barriers, *bounded, *enclosed;
 } ModelLaws;
 
 static const ModelLaws model_laws;
@@ -121,6 +121,22 @@ static inline bool law_bounds(void *owner, const Point *at, double t, double len
     return call_law(owner, model_laws.bounds, &then, &length, low, high, NULL, NULL);
 }
 
+static inline bool law_enclose(void *owner, const Point *at, double length, const Spans *spans,
+                               double low[], double high[]) {
+    const LawOwner *self = owner;
+    self->arg[0] = &at->t;
+    self->arg[1] = &length;
+    self->arg[2] = spans->low;
+    self->arg[3] = spans->high;
+    self->arg[4] = spans->slowest;
+    self->arg[5] = spans->fastest;
+    self->arg[6] = at->u;
+    self->arg[7] = self->c;
+    self->res[0] = low;
+    self->res[1] = high;
+    return !model_laws.enclosure(self->arg, self->res, self->iw, self->w, 0);
+}
+
 static inline Laws laws_of_model(LawOwner *owner) {
     return (Laws){
         .owner = owner,
@@ -130,11 +146,13 @@ static inline Laws laws_of_model(LawOwner *owner) {
         .adds = model_laws.adds,
         .barriers = model_laws.barriers,
         .bounded = model_laws.bounded,
+        .enclosed = model_laws.enclosed,
         .see = law_see,
         .decide = law_decide,
         .spread = law_spread,
         .timed = law_timed,
         .bounds = law_bounds,
+        .enclose = law_enclose,
     };
 }
 

@@ -31,6 +31,8 @@ typedef struct {
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
+    const double (*slopes)[NX]; /* of its stages */
+    int stages;
     const double *looked; /* the output times before it have been looked at */
     double fresh[NX];     /* the state at the end of the last fresh step */
 } Step;
@@ -110,6 +112,61 @@ static inline void look_within(void *accepted, double t, Place *found) {
     look_at(accepted, t, x, found);
 }
 
+/* Whether no relation leaves its mode in the whole step: half as far beyond the slopes of its
+ * stages again, which is cheaper than its polynomial. */
+static inline bool stays_by_slopes(const Step *self, const double *x, const Place *a,
+                                   const Place *b) {
+#if ENCLOSED > 0
+    const Watch *watch = self->watch;
+    const Point at = {a->t, x, watch->problem->z, watch->problem->u};
+    const double length = b->t - a->t;
+    Spans spans;
+    if (model_laws.inputs) return false;
+    for (int i = 0; i < NX; ++i) {
+        double low = self->slopes[0][i], high = low;
+        for (int k = 1; k < self->stages; ++k) {
+            low = fmin(low, self->slopes[k][i]);
+            high = fmax(high, self->slopes[k][i]);
+        }
+        const double more = (high - low) / 2;
+        spans.slowest[i] = low - more;
+        spans.fastest[i] = high + more;
+        spans.low[i] = x[i] + length * fmin(low - more, 0);
+        spans.high[i] = x[i] + length * fmax(high + more, 0);
+    }
+    for (int i = 0; i < NU - MODES; ++i) {
+        spans.low[NX + i] = spans.high[NX + i] = watch->problem->u[i];
+        spans.slowest[NX + i] = spans.fastest[NX + i] = 0;
+    }
+    return stays_within(&watch->laws, watch->switching, &at, length, &spans, a->inside, b->inside);
+#else
+    (void)self, (void)x, (void)a, (void)b;
+    return true;
+#endif
+}
+
+static inline bool stays(void *accepted, const Place *a, const Place *b) {
+#if ENCLOSED > 0
+    const Step *self = accepted;
+    const Watch *watch = self->watch;
+    double x[NX], dx[NX], slopes[NU + 1];
+    Sample samples[NODES];
+    for (int k = NODES - 1; k >= 0; --k) {
+        const Point at = {node_between(a->t, b->t, k), x, watch->problem->z, watch->problem->u};
+        if (self->within(self->motion, at.t, x, dx) ||
+            !law_inputs(&watch->owner, &at, samples[k] + NX, slopes))
+            return true;
+        memcpy(samples[k], x, sizeof x);
+    }
+    const Point from = {a->t, x, watch->problem->z, watch->problem->u};
+    return sampled_stays_within(&watch->laws, watch->switching, &from, b->t - a->t,
+                                (const Sample *)samples, a->inside, b->inside);
+#else
+    (void)accepted, (void)a, (void)b;
+    return true;
+#endif
+}
+
 static inline bool step_freshly(void *accepted, double t, Place *found) {
     Step *self = accepted;
     double dx[NX];
@@ -130,11 +187,14 @@ static inline void look_closely_at(const Step *self, Place *first, Place *last) 
 
 /* The first crossing in an accepted step, from the place where it begins to the one where it ends:
  * at the output times in it, whose columns take the states, and between all these places. Where
- * there is one, `fresh` is the state. Returns 0 unless a fresh step fails. */
-static inline int crossing_of(Step *self, const double *times, double *columns, const Place *begin,
-                              Place *end, Crossing *found) {
+ * there is one, `fresh` is the state. x: where the step begins. Returns 0 unless a fresh step
+ * fails. */
+static inline int crossing_of(Step *self, const double *x, const double *times, double *columns,
+                              const Place *begin, Place *end, Crossing *found) {
     const double *slack = self->watch->switching->slack;
     Place before = *begin, place;
+    const bool proven = outside(begin) < 0 && outside(end) < 0 &&
+                        (stays_by_slopes(self, x, begin, end) || stays(self, begin, end));
     self->looked = times;
     *found = (Crossing){end->t, -1};
     for (const double *time = times; before.t < end->t; before = place) {
@@ -145,9 +205,10 @@ static inline int crossing_of(Step *self, const double *times, double *columns, 
         } else {
             place = *end;
         }
-        if (!is_suspect(&before, &place, slack)) continue;
+        if (!is_suspect(&before, &place, slack) && (proven || stays(self, &before, &place)))
+            continue;
         look_closely_at(self, &before, &place);
-        if (find_crossing(look_within, step_freshly, self, slack, self->t, before, place.t,
+        if (find_crossing(look_within, stays, step_freshly, self, slack, self->t, before, place.t,
                           found) == FAILS)
             return 1;
         if (found->relation >= 0) return 0;

@@ -15,6 +15,7 @@
 #define ASSIGNED 3
 #define DEFECTS 0
 #define BOUNDED 0
+#define ENCLOSED 0
 #include "happen.h"
 #include "plan.h"
 #include "search.h"
@@ -32,7 +33,7 @@ static const Relation relations[] = {
     {true, true, true, false, false, KEEPS}, /* floor(t) */
 };
 static const Rule rules[] = {{0, 2, 0, 1, false, false}, {2, 1, 1, 0, false, false}};
-static const int assigned[] = {1, 2, 2}, barriers[] = {WALL}, bounded[] = {0};
+static const int assigned[] = {1, 2, 2}, barriers[] = {WALL}, bounded[] = {0}, enclosed[] = {0};
 static const bool adds[] = {false, true, true};
 
 static bool see(void *owner, const Point *at, Seen *found) {
@@ -72,8 +73,8 @@ static bool timed(void *owner, const Point *at, double t, double arguments[], do
 }
 
 static Laws laws_of(Body *body) {
-    return (Laws){body,  relations, rules,        assigned, adds,  barriers, bounded,
-                  false, see,       decide_rules, spread,   timed, NULL};
+    return (Laws){body,  relations, rules,        assigned, adds,  barriers, bounded, enclosed,
+                  false, see,       decide_rules, spread,   timed, NULL,     NULL};
 }
 
 static const bool nothing[MODES + 1];
@@ -179,6 +180,11 @@ static void look(void *motion, double t, Place *found) {
     parabola_at(((Parabola *)motion)->depth, t, found);
 }
 
+static bool proven(void *motion, const Place *a, const Place *b) {
+    (void)motion, (void)a, (void)b;
+    return true;
+}
+
 static bool step(void *motion, double t, Place *found) {
     parabola_at(((Parabola *)motion)->fresh, t, found);
     return true;
@@ -190,11 +196,46 @@ static void a_crossing_is_located_and_a_touch_is_none(void) {
     Crossing found;
     Parabola crosses = {0.01, 0.01}, touches = {1e-9, -1e-9};
     look(&crosses, 0, &before);
-    assert(find_crossing(look, step, &crosses, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look, proven, step, &crosses, slack, 0, before, 1, &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
     look(&touches, 0, &before);
-    assert(find_crossing(look, step, &touches, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look, proven, step, &touches, slack, 0, before, 1, &found) == CROSSES);
     assert(found.relation < 0);
+}
+
+/* A dip between two looks, which bounds do not exclude. */
+static const double AT = 0.3717, WIDTH = 1e-7;
+
+static void look_at_dip(void *motion, double t, Place *found) {
+    parabola_at(-1, t, found);
+    found->inside[WALL] = fabs(t - AT) < WIDTH ? -1 : 1;
+    found->rates[WALL] = 0;
+    (void)motion;
+}
+
+static bool step_into_dip(void *motion, double t, Place *found) {
+    look_at_dip(motion, t, found);
+    found->inside[WALL] = AT - WIDTH - t; /* as of a slope */
+    found->rates[WALL] = -1;
+    return true;
+}
+
+static bool has_no_dip(void *motion, const Place *a, const Place *b) {
+    (void)motion;
+    return b->t < AT - WIDTH || a->t > AT + WIDTH;
+}
+
+static void what_bounds_do_not_exclude_is_looked_at_closely(void) {
+    const double slack[MODES + 1] = {0};
+    Place before;
+    Crossing found;
+    look_at_dip(NULL, 0, &before);
+    assert(find_crossing(look_at_dip, proven, step_into_dip, NULL, slack, 0, before, 1, &found) ==
+           CROSSES);
+    assert(found.relation < 0);
+    assert(find_crossing(look_at_dip, has_no_dip, step_into_dip, NULL, slack, 0, before, 1,
+                         &found) == CROSSES);
+    assert(found.relation == WALL && fabs(found.time - (AT - WIDTH)) < 1e-15);
 }
 
 /* Where the interpolant sees only SECOND leave, fresh steps also go through WALL and back. */
@@ -218,7 +259,7 @@ static void what_has_left_and_comes_back_was_first(void) {
     Crossing found;
     Parabola motion = {0, 0.01};
     look_late(&motion, 0, &before);
-    assert(find_crossing(look_late, step_both, &motion, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look_late, proven, step_both, &motion, slack, 0, before, 1, &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
 }
 
@@ -229,6 +270,7 @@ int main(void) {
     events_that_are_ever_closer_are_rejected();
     the_clock_is_planned_and_due();
     a_crossing_is_located_and_a_touch_is_none();
+    what_bounds_do_not_exclude_is_looked_at_closely();
     what_has_left_and_comes_back_was_first();
     puts("all right");
     return 0;

@@ -7,7 +7,7 @@
  *
  * The kernel knows no model. Its sizes are macros: NX states, NZ algebraic unknowns, NU inputs of
  * which the last MODES are modes, EVENTS rules with ASSIGNED assignments in all, DEFECTS
- * constraints, BOUNDED relations of time alone that have bounds.
+ * constraints, BOUNDED relations of time alone and ENCLOSED other ones that have bounds.
  */
 #ifndef HYBRID_LAWS_H
 #define HYBRID_LAWS_H
@@ -20,8 +20,9 @@
 #if !defined NX || !defined NZ || !defined NU
 #error "define NX, NZ and NU: how many states, algebraic unknowns and inputs with modes there are"
 #endif
-#if !defined MODES || !defined EVENTS || !defined ASSIGNED || !defined DEFECTS || !defined BOUNDED
-#error "define MODES, EVENTS, ASSIGNED, DEFECTS and BOUNDED, the sizes of the laws"
+#if !defined MODES || !defined EVENTS || !defined ASSIGNED || !defined DEFECTS ||                  \
+    !defined BOUNDED || !defined ENCLOSED
+#error "define MODES, EVENTS, ASSIGNED, DEFECTS, BOUNDED and ENCLOSED, the sizes of the laws"
 #endif
 
 enum { KEEPS = 2 }; /* `at_zero` of a relation that has the mode of either side there */
@@ -60,6 +61,11 @@ typedef struct {
     double conditions[EVENTS + 1], values[ASSIGNED + 1], defects[DEFECTS + 1];
 } Decision;
 
+/* Least and greatest values of states and inputs, and of their rates, over a part of a step. */
+typedef struct {
+    double low[NX + NU + 1], high[NX + NU + 1], slowest[NX + NU + 1], fastest[NX + NU + 1];
+} Spans;
+
 /* The laws of a model, called with their owner. Functions return whether there is a value. */
 typedef struct {
     void *owner;
@@ -69,6 +75,7 @@ typedef struct {
     const bool *adds;    /* whether an assignment adds to its state what does not depend on it */
     const int *barriers; /* relations */
     const int *bounded;  /* relations of time whose arguments have bounds, BOUNDED of them */
+    const int *enclosed; /* other relations whose arguments have bounds, ENCLOSED of them */
     bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
     bool (*see)(void *owner, const Point *at, Seen *found);
     bool (*decide)(void *owner, const Point *at, Decision *found);
@@ -79,6 +86,9 @@ typedef struct {
     /* bounds of such arguments and of two time derivatives, from a time over a length */
     bool (*bounds)(void *owner, const Point *at, double t, double length, double low[],
                    double high[]);
+    /* bounds of an argument and of its rate, in turns, over a length from the time of a point on */
+    bool (*enclose)(void *owner, const Point *at, double length, const Spans *spans, double low[],
+                    double high[]);
 } Laws;
 
 static inline double *modes_of(const Point *at) {

@@ -6,7 +6,7 @@
 #ifndef HYBRID_PLAN_H
 #define HYBRID_PLAN_H
 
-#include "switching.h"
+#include "enclosure.h"
 
 enum {
     SEARCHED = 4096, /* samples of an argument without bounds, or where bounds have no value */
@@ -137,13 +137,12 @@ static inline double leaves(const Guards *self, int k, Side a, Side b, const dou
         high[order] = guard->sign * (guard->sign > 0 ? highs[i] : lows[i]);
     }
     const double length = b.t - a.t;
-    if (low[0] - guard->sign * guard->boundary >= 0) return NEVER_AGAIN;
-    if (!isfinite(high[0] - low[0]) || !isfinite(high[1] - low[1])) return UNKNOWN;
-    if (low[1] >= 0) return b.value >= 0 ? NEVER_AGAIN : UNKNOWN;
+    const Spanned span = {low[0] - guard->sign * guard->boundary, low[1], high[1]};
+    if (span.low >= 0) return NEVER_AGAIN;
+    if (b.value >= 0 && stays_positive(&span, a.value, b.value, length)) return NEVER_AGAIN;
+    if (!isfinite(high[0] - low[0]) || !isfinite(high[1] - low[1]) || low[1] >= 0) return UNKNOWN;
     const bool curved = isfinite(high[2] - low[2]);
     if (high[1] <= 0 || (curved && high[2] <= 0)) return b.value < 0 ? b.t : NEVER_AGAIN;
-    const double reach = low[1] * high[1] * length;
-    if (b.value >= 0 && high[1] * a.value - low[1] * b.value + reach > 0) return NEVER_AGAIN;
     if (curved && fmin(a.value, b.value) > high[2] * length * length / 8) return NEVER_AGAIN;
     if (!curved || !(low[2] >= 0)) return UNKNOWN;
     if (b.value < 0) return a.rate < 0 ? b.t : UNKNOWN;

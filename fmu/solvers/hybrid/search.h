@@ -1,14 +1,17 @@
-/* The first place within a step of a solver where a relation leaves its mode: looked for at several
- * places, and at the least values between them, so that two crossings of a relation are seen, too.
- * The step then ends where fresh steps cross; where they do not, it was only touched.
+/* The first place within a step of a solver where a relation leaves its mode. Bounds over a part of
+ * the step prove that none does, or the part is halved. Relations without bounds are looked at in
+ * several places, and at the least values between them, so that two crossings are seen, too. The
+ * step then ends where fresh steps cross; where they do not, it was only touched.
  */
 #ifndef HYBRID_SEARCH_H
 #define HYBRID_SEARCH_H
 
+#include "enclosure.h"
 #include "settle.h"
 
 enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
-enum { MOST_BEYOND = 2 }; /* steps of rounding beyond a crossing */
+enum { MOST_PARTS = 4096 }; /* of a step; what touches its boundary is never proven */
+enum { MOST_BEYOND = 2 };   /* steps of rounding beyond a crossing */
 
 /* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
    step, and of a part of it. */
@@ -21,6 +24,9 @@ typedef struct {
 } Place;
 
 typedef void LookAt(void *motion, double t, Place *found);
+
+/* Whether bounds prove that no relation is outside between two places where none is. */
+typedef bool Stays(void *motion, const Place *a, const Place *b);
 
 typedef struct {
     double time;
@@ -108,9 +114,32 @@ static inline Place bottom(LookAt *look, void *motion, int i, Place a, Place b) 
     return b;
 }
 
+/* Moves a part, at whose ends no relation is outside, on to the first one that ends outside; false
+ * if there is none. */
+static inline bool find_outside(LookAt *look, Stays *stays, void *motion, Place *a, Place *b,
+                                int *parts) {
+    const Place last = *b;
+    while (*parts > 0 && a->t < last.t) {
+        const double length = b->t - a->t;
+        const bool proven = stays(motion, a, b);
+        --*parts;
+        if (proven) *a = *b;
+        const double t = a->t + (proven ? 2 : 0.5) * length;
+        if (t < last.t && t > a->t)
+            look(motion, t, b);
+        else
+            *b = last;
+        if (!proven && !(t > a->t && t < a->t + length)) *a = *b; /* but for rounding of time */
+        if (outside(b) >= 0) return true;
+    }
+    return false;
+}
+
 /* The first crossing after a place, up to a time. */
-static inline Crossing crossing_between(LookAt *look, void *motion, Place before, double end) {
+static inline Crossing crossing_between(LookAt *look, Stays *stays, void *motion, Place before,
+                                        double end) {
     const double from = before.t;
+    int parts = MOST_PARTS;
     Place place;
     if (outside(&before) >= 0) return (Crossing){from, outside(&before)};
     for (int k = 1; k <= PLACES; ++k) {
@@ -120,7 +149,9 @@ static inline Crossing crossing_between(LookAt *look, void *motion, Place before
                 const Place least = bottom(look, motion, i, before, place);
                 if (least.inside[i] < 0) place = least;
             }
-        if (outside(&place) >= 0) return narrow(look, motion, before.t, place);
+        Place first = place;
+        if (outside(&place) >= 0 || find_outside(look, stays, motion, &before, &first, &parts))
+            return narrow(look, motion, before.t, first);
         before = place;
     }
     return (Crossing){end, -1};
@@ -188,11 +219,11 @@ static inline bool inside_again(LookAt *look, void *motion, double touch, double
 }
 
 /* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. */
-static inline Located find_crossing(LookAt *look, FreshStep *fresh, void *motion,
+static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh, void *motion,
                                     const double slack[], double begin, Place before, double end,
                                     Crossing *found) {
     for (int touches = 0; touches < PLACES; ++touches) {
-        *found = crossing_between(look, motion, before, end);
+        *found = crossing_between(look, stays, motion, before, end);
         if (found->relation < 0) return CROSSES;
         const double touch = found->time;
         const Located how = locate(fresh, motion, slack, begin, end, found);

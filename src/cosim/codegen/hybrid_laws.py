@@ -31,6 +31,10 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
     span = system.time_bounds
     over, ends = [*dae.arguments, span.length], [span.low, span.high]
     bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
+    part = system.enclosures
+    within, sides = [dae.t, *part.given, dae.u, dae.p], [part.low, part.high]
+    if part.relations:
+        bounds.append(ca.Function("model_enclosure", within, sides, {"cse": True}))
     decisions = [*system.rules, ca.densify(defects)]
     return [
         ca.Function("model_relations", given, [arguments, rates, seconds, sizes]),
@@ -49,6 +53,7 @@ def law_sizes(system: Hybrid) -> dict[str, int]:
         "ASSIGNED": sum(len(event.states) for event in system.events),
         "DEFECTS": len(system.dae.invariants),
         "BOUNDED": len(system.time_bounds.relations),
+        "ENCLOSED": len(system.enclosures.relations),
     }
 
 
@@ -73,6 +78,7 @@ def law_tables(system: Hybrid) -> str:
         "bool adding": added(system),
         "int barring": [i for own in barriers for i in own],
         "int bounded_ones": system.time_bounds.relations,
+        "int enclosed_ones": system.enclosures.relations,
     }
     tables = [
         _rows("static const Relation relation_table", relations),
@@ -94,7 +100,10 @@ def _numbers(head: str, values: Sequence[int]) -> str:
     return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
 
 
-TABLES = ("relation_table", "rule_table", "assigned_states", "adding", "barring", "bounded_ones")
+TABLES = (
+    "relation_table", "rule_table", "assigned_states", "adding", "barring", "bounded_ones",
+    "enclosed_ones",
+)  # fmt: skip
 
 
 @cached_per_thread(16)

@@ -13,7 +13,10 @@ from cosim.codegen.hybrid_laws import TABLES, law_functions, law_sizes, law_tabl
 from cosim.codegen.initialization import algebraic_function
 from cosim.memo import cached_per_thread
 
-_FUNCTIONS = ("algebraic", "relations", "rounding", "timed", "conditions", "bounds", "inputs")
+_FUNCTIONS = (
+    "algebraic", "relations", "rounding", "timed", "conditions", "bounds", "enclosure", "inputs",
+)  # fmt: skip
+_SIZES = ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED")
 
 
 class LawText(NamedTuple):
@@ -39,7 +42,7 @@ class LawText(NamedTuple):
 
 NO_LAWS = LawText(
     [],
-    "".join(f"#define {name} 0\n" for name in ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED"))
+    "".join(f"#define {name} 0\n" for name in _SIZES)
     + "".join(f"#define LAWS_{name} 1\n" for name in ("ARG", "RES", "IW", "W")),
     "static const ModelLaws model_laws = {0};\n",
 )  # of a smooth model

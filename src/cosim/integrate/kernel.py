@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
@@ -27,6 +28,12 @@ class _Call(ctypes.Structure):
     """`Call` of fmu/solvers/instants.h."""
 
     _fields_ = fields("solvers/instants.h", "Call", note=_NOTE)
+
+
+class _Rows(ctypes.Structure):
+    """`MotionRows` of fmu/solvers/instants.h."""
+
+    _fields_ = fields("solvers/instants.h", "MotionRows")
 
 
 class Reason(IntEnum):
@@ -86,6 +93,26 @@ class Happening(NamedTuple):
     replan: bool
 
 
+class Rows(NamedTuple):
+    """Rows of a motion, one per time; arrays are contiguous.
+
+    Attributes:
+        times: s, (n,).
+        x, dx: States and their time derivatives, (n, nx).
+        u, du: Inputs with modes, and their slopes, (n, nu).
+        inside: How far each relation is within its mode, (n, m).
+        defects: What the slope of the cubic from a row to the next is off by, (n - 1, nx).
+    """
+
+    times: Vector
+    x: Vector
+    dx: Vector
+    u: Vector
+    du: Vector
+    inside: Vector
+    defects: Vector
+
+
 Listener = Callable[[Vector, Vector, Vector, list[int]], None]  # x, z, u before; events of a round
 
 
@@ -138,13 +165,14 @@ class Switching:
 def _library(system: Hybrid) -> tuple[ctypes.CDLL, int]:
     """Return the library of a model, and how many numbers its `Switching` has."""
     library = ctypes.CDLL(kernel_library(system))
-    sizes = (_LONG * 7)()
+    sizes = (_LONG * 8)()
     library.cosim_kernel_sizes(sizes)
     dae = system.dae
     numels = [column.numel() for column in (dae.x, dae.z, dae.u)]
-    own = [ctypes.sizeof(_Call), sizes[1], *numels, len(system.relations), len(system.events)]
+    structures = [ctypes.sizeof(structure) for structure in (_Call, _Rows)]
+    own = [*structures, sizes[2], *numels, len(system.relations), len(system.events)]
     assert list(sizes) == own, "the library of events belongs to another model"
-    return library, sizes[1]
+    return library, sizes[2]
 
 
 class Kernel:
@@ -275,6 +303,34 @@ class Kernel:
         places = (_PLACE(a.ctypes.data) for a in (*rows, inside, towards))
         self._library.cosim_margins(ctypes.byref(self._call), _LONG(len(inside)), *places)
         return inside, towards
+
+    def stay(self, rows: "Rows") -> NDArray[np.bool_]:
+        """Return from which of n rows to the next one no relation leaves its mode, (n - 1,)."""
+        found = np.ones(len(rows.times) - 1)
+        given, count = self._rows(rows), _LONG(len(rows.times))
+        self._library.cosim_stay(
+            ctypes.byref(self._call), ctypes.byref(given), count, _PLACE(found.ctypes.data)
+        )
+        return found > 0
+
+    def search(self, rows: "Rows", z: Vector) -> tuple[float, int]:
+        """Return where a relation leaves its mode between two rows, s, and which one; or -1.
+
+        Args:
+            rows: The rows.
+            z: A guess of the algebraic unknowns.
+        """
+        time = _DOUBLE()
+        given = self._rows(rows)
+        self._arrays["z"][: len(z)] = z
+        relation = self._library.cosim_search(
+            ctypes.byref(self._call), ctypes.byref(given), ctypes.byref(time)
+        )
+        return time.value, int(relation)
+
+    def _rows(self, rows: "Rows") -> _Rows:
+        self._arrays["u"][:-1] = rows.u[0]
+        return _Rows(*(array.ctypes.data for array in rows))
 
     def note_inside(self, modes: Vector, arguments: Vector) -> None:
         """Let go of boundaries that an event has displaced, where arguments are inside again."""

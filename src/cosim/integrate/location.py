@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid, input_rates, with_rates
 from cosim.arrays import Vector
+from cosim.codegen.functions import equations
 from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.kernel import Kernel
+from cosim.integrate.kernel import Kernel, Rows
 from cosim.integrate.modes import Instant, Watched, hybrid, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
@@ -221,6 +222,29 @@ class Piece:
         assert self.kernel is not None
         return self.kernel.switching.slack
 
+    def rows(self, inside: Vector, begin: int, end: int) -> Rows:
+        """Return some rows; margins as `margins` gives them, with rounding."""
+        own = slice(begin, end)
+        t, x, z = self.times[own], self.x[own], self.z[own]
+        dx = self._slopes(t, x, z)
+        states = cubics(t, x, dx, np.array([0.5]))[:, 0]
+        slopes = 1.5 * np.diff(x, axis=0) / np.diff(t)[:, None] - (dx[1:] + dx[:-1]) / 4
+        middle = self._slopes((t[1:] + t[:-1]) / 2, states, (z[1:] + z[:-1]) / 2)
+        columns = t, x, dx, *self._inputs(t), inside[own], np.abs(middle - slopes)
+        return Rows(*map(np.ascontiguousarray, columns))
+
+    def _slopes(self, times: Vector, x: Vector, z: Vector) -> Vector:
+        """Return dx/dt at some times and states, (n, nx)."""
+        u, _ = self._inputs(times)
+        return np.array(equations(self.own.dae)(times[None], x.T, z.T, u.T, self.p)[0]).T
+
+    def stay(self, inside: Vector) -> NDArray[np.bool_]:
+        """Return from which times to the next no relation leaves its mode, by bounds, (n - 1,)."""
+        assert self.kernel is not None
+        if self.own.sliding or not self.system.enclosures.relations:
+            return np.ones(len(self.times) - 1, dtype=bool)
+        return self.kernel.stay(self.rows(inside, 0, len(self.times)))
+
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
         if self.kernel is not None and len(self.times) > 1:
@@ -323,14 +347,25 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         dips = ~outside & (towards[:-1] < 0) & (towards[1:] > 0)
         near = 0.5 if closely else 0.1
         dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
-    for k in np.flatnonzero((outside | dips).any(axis=1)).tolist():
+    seen = np.asarray((outside | dips).any(axis=1))
+    for k in np.flatnonzero(seen | ~piece.stay(inside)).tolist():
         if closely and not outside[k].any():
             found = located(piece.within(k), closely=False)
-        else:
+        elif seen[k]:
             found = _in_interval(piece, k, np.flatnonzero(outside[k] | dips[k]))
+        else:
+            found = _unproven(piece, k, inside)
         if found is not None:
             return found
     return None
+
+
+def _unproven(piece: Piece, k: int, inside: Vector) -> Located | None:
+    """Return the first event between two rows where bounds do not exclude one; None without one."""
+    assert piece.kernel is not None
+    time, i = piece.kernel.search(piece.rows(inside, k, k + 2), piece.z[k])
+    begin, end = piece.times[k : k + 2].tolist()
+    return None if i < 0 else _refined(piece, k, (time - begin) / (end - begin), i)
 
 
 def _crossed(piece: Piece) -> Located | None:

@@ -114,7 +114,7 @@ class Part:
 
 
 _KERNEL_OF_EVENTS = (
-    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "search.h"),
+    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "enclosure.h", "search.h"),
     *("model_laws.h", "ode.h"),
 )
 

@@ -1,0 +1,77 @@
+"""Relations that are true for a small part of a step, against the times of a pendulum's motion."""
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+
+import cosim
+from casadi_models.dae import Dae, Model
+
+SPAN, PLACE = 20.0, 0.5
+WIDTHS = (1e-2, 1e-4)
+Condition = Callable[[Any, Any, Any, Any], Any]  # of place, speed, width and a module of functions
+CONDITIONS: dict[str, Condition] = {
+    "between": lambda x, _, w, __: (x - PLACE) ** 2 < w**2,
+    "bump": lambda x, _, w, m: m.exp(-(((x - PLACE) / w) ** 2)) > 0.5,
+    "often": lambda x, _, w, m: m.sin(40 * x) > 1 - w,
+    "in two states": lambda x, v, w, _: (x - 0.6) ** 2 + (v - 0.8) ** 2 < w**2,
+}
+
+
+def pendulum(condition: Condition) -> Dae:
+    """Return a model that counts how often a condition becomes true, and for how many widths."""
+    model = Model("narrow", stop_time=SPAN, output_interval=0.5)
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1/s", 1.0, "speed")
+    y, n = model.state("y", "s", 0.0, "time / width"), model.discrete("n", "1", 0.0, "count")
+    w = model.parameter("w", "1", 0.01, "width")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    truth = condition(x, v, w, ca)
+    model.derivative(y, ca.if_else(truth, 1 / w, 0.0))
+    model.when(truth, {n: n + 1}, name="in")
+    return model.freeze()
+
+
+def expected(condition: Condition, width: float) -> tuple[int, float]:
+    """Return the count and the time by samples that resolve a tenth of the shortest excursion."""
+    count, spent = 0, 0.0
+    for begin in np.arange(0, SPAN):
+        t = np.linspace(begin, begin + 1, 400_001)
+        true = condition(np.sin(t), np.cos(t), width, np)
+        count += int((np.diff(true.astype(int)) == 1).sum())
+        spent += float(true[:-1].mean()) / width
+    return count, spent
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8", "cvodes", "erk"])
+@pytest.mark.parametrize("kind", CONDITIONS)
+def test_no_solver_steps_over_a_narrow_relation(kind: str, solver: str) -> None:
+    condition = CONDITIONS[kind]
+    steps = {"step_size": 0.02} if solver in ("rk4", "ode8") else {}
+    for width in WIDTHS:
+        run = cosim.simulate(pendulum(condition), start_values={"w": width}, solver=solver, **steps)
+        count, spent = expected(condition, width)
+        assert run.final["n"] == count
+        assert run.final["y"] == pytest.approx(spent, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", CONDITIONS)
+def test_co_simulation_does_not_step_over_a_narrow_relation(kind: str, tmp_path: Any) -> None:
+    condition = CONDITIONS[kind]
+    path = cosim.export_fmu(pendulum(condition), tmp_path / "narrow.fmu")
+    for width in WIDTHS:
+        rows = fmpy.simulate_fmu(
+            path,
+            fmi_type="CoSimulation",
+            stop_time=SPAN,
+            output_interval=0.5,
+            start_values={"w": width},
+            output=["n", "y"],
+        )
+        count, spent = expected(condition, width)
+        assert rows["n"][-1] == count
+        assert rows["y"][-1] == pytest.approx(spent, rel=0.02)
