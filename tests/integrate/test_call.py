@@ -6,6 +6,7 @@ import pytest
 from cosim.integrate import call as module
 from cosim.integrate.call import call, finite_rows
 from cosim.integrate.engine import Counts, Engine, Filled
+from cosim.text import Ending
 
 
 def engine(points, reached):
@@ -14,7 +15,9 @@ def engine(points, reached):
         states[:reached] = np.arange(reached)[:, None]
         return Filled(reached == points, reached)
 
-    return Engine(None, points, False, lambda: Counts(cause="it was told to"), direct=direct)
+    return Engine(
+        None, points, False, lambda: Counts(cause=Ending("it was told to")), direct=direct
+    )
 
 
 @pytest.mark.parametrize(("reached", "reason"), [(3, "it was told to"), (10, "")])

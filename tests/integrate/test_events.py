@@ -76,7 +76,9 @@ def test_compiled_solvers_go_through_impacts_in_one_call(solver, monkeypatch):
     count = model.discrete("count", "1", 0, "number of fast impacts")
     model.when(v > 0.5, {count: count + 1}, name="fast")  # an impact causes it
     calls, scaled_call = [], location.scaled_call
-    monkeypatch.setattr(location, "scaled_call", lambda *a: calls.append(a) or scaled_call(*a))
+    monkeypatch.setattr(
+        location, "scaled_call", lambda *a, **k: calls.append(a) or scaled_call(*a, **k)
+    )
     run = simulate(model.freeze(), solver)
     times = [event.time for event in run.events if event.name == "impact"]
     np.testing.assert_allclose(times, impact_times(len(times)), rtol=0, atol=1e-12)

@@ -123,10 +123,24 @@ class Reached:
 
 
 def call(
-    engine: Engine, x0: Vector, z0: Vector, p: Vector, u: Vector, left: Left | None = None
+    engine: Engine,
+    x0: Vector,
+    z0: Vector,
+    p: Vector,
+    u: Vector,
+    left: Left | None = None,
+    begin: float = 0.0,
+    length: float = 1.0,
 ) -> Reached:
-    """Call an engine with initial values, parameters and inputs, and what events have left."""
-    n, by_casadi, unit = engine.points, engine.direct is None, engine.time_unit
+    """Call an engine with initial values, parameters and inputs, and what events have left.
+
+    Args:
+        engine: The engine.
+        x0, z0, p, u: Its arguments.
+        left: What events have left.
+        begin, length: Span of an engine in its own time, s, which messages need.
+    """
+    n, by_casadi, unit = engine.points, engine.direct is None, length * engine.time_unit
     states, algebraics = (np.empty((n, len(start))) for start in (x0, z0))
     if by_casadi:  # it writes column by column, and no column after a failure
         states.fill(np.nan)
@@ -162,8 +176,9 @@ def call(
         reason = INTERRUPTED
     elif reason:
         last = messages.getvalue().strip().rpartition("\n")[2].rstrip(". ")
-        last = _TIME.sub(lambda found: f"{found[1]} = {unit * float(found[2]):g}", last)
-        reason = Ending(f"{reason} ({last})", reason.kind) if last else reason
+        text, origin = f"{reason} ({last})" if last else reason, {"t": begin, "h": 0.0}
+        text = _TIME.sub(lambda m: f"{m[1]} = {origin[m[1]] + unit * float(m[2]):g}", text)
+        reason = Ending(text, reason.kind)
     elif len(states) < n and crossing is None:
         reason = Ending("a state is not finite")
     transposed = states.T, algebraics.T

@@ -50,6 +50,8 @@ class Problem:
         project: Whether every step ends with a projection onto the constraints.
         nominal: Nominal value of each state, for solvers with `takes_nominal_values`; 1 SI unit if
             empty.
+        in_own_time: Whether the times are shares of a span, whose begin and length, s, follow the
+            model's parameters.
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
             a relation leaves its mode; engines that cannot do so ignore it.
     """
@@ -62,6 +64,7 @@ class Problem:
     piecewise: bool = False
     project: bool = False
     nominal: tuple[float, ...] = ()
+    in_own_time: bool = False
     system: Hybrid | None = None
 
     @property

@@ -150,7 +150,7 @@ class Piece:
         problem = replace(problem, times=times.tobytes())
         left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
-        found = scaled_call(problem, self.solver, start)
+        found = scaled_call(problem, self.solver, start, in_pieces=True)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]

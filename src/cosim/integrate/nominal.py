@@ -17,6 +17,7 @@ from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED, Reached, call
 from cosim.integrate.engine import Engine, Left, Problem
+from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.solvers import engine_of
 from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver, Solver
@@ -24,6 +25,8 @@ from cosim.model.values import Values, own_sizes
 from cosim.series.samples import NOT_GIVEN
 
 _ROUNDING = 1e-14  # relative, of numbers that large unknowns make
+_SAME_TIMES = 64  # units in the last place of a time
+_CLOSE_SHARES = 1e-8  # CasADi's SUNDIALS interfaces pass output times within 1e-9 of the present
 
 
 @dataclass(frozen=True)
@@ -186,36 +189,75 @@ class InitialState:
     left: Left | None = None
 
 
-def scaled_call(problem: Problem, solver: Solver, start: InitialState) -> Reached:
+def scaled_call(
+    problem: Problem, solver: Solver, start: InitialState, *, in_pieces: bool = False
+) -> Reached:
     """Call the engine of a solver over a grid, its unknowns scaled by nominal values.
 
     If a solver with error control has no absolute tolerance, nominal values that the model does not
     set follow from the initial values.
 
+    Args:
+        problem, solver, start: What to integrate.
+        in_pieces: Whether this is one of many pieces of a run, which share engines.
+
     Raises:
         UsageError, ParameterError, MissingTool: See `engine_of`.
     """
+    t, span = problem.grid[0], tuple[float, ...]()
+    if in_pieces:
+        problem, solver, span = in_own_time(problem, solver)
+    p = start.values.p
     if not isinstance(solver, AdaptiveSolver):
-        numbers = start.x, start.z, start.values.p, start.values.u
-        return call(engine_of(problem, solver), *numbers, start.left)
+        numbers = start.x, start.z, np.append(p, span), start.values.u
+        return call(engine_of(problem, solver), *numbers, start.left, *span)
     nominal = Nominal.declared(problem.dae)
     if solver.absolute_tolerance is None:
         x0 = start.x if start.began is None else start.began
         nominal = nominal.from_start(problem.dae, x0, start.z, solver.tolerance.pair[1])
     engine, sizes, more = _scaled_engine(problem, solver, nominal)
     x, z = sizes.columns
-    p = np.concatenate((start.values.p, more)) if more.size else start.values.p
+    p = np.concatenate((p, more, span))
     numbers = start.x / x.ravel(), start.z / z.ravel(), p, start.values.u
-    reached = call(engine, *numbers, start.left)
+    reached = call(engine, *numbers, start.left, *span)
     started = reached.states.shape[1] > 0 or reached.reason in ("", INTERRUPTED)
     if engine.restart is not None and not started:
-        t, values = problem.grid[0], start.values
+        values = start.values
         ode, _ = equations(problem.dae)(t, start.x, start.z, values.u, values.p)
-        again = call(engine.restart(np.array(ode).ravel() / x.ravel()), *numbers)
+        slopes = np.array(ode).ravel() / x.ravel() * (span[1] if span else 1.0)
+        again = call(engine.restart(slopes), *numbers, None, *span)
         reached = replace(again, solve_time=reached.solve_time + again.solve_time)
     if sizes.in_si:
         return reached
     return replace(reached, states=reached.states * x, algebraics=reached.algebraics * z)
+
+
+def in_own_time(problem: Problem, solver: Solver) -> tuple[Problem, Solver, tuple[float, ...]]:
+    """Return a problem over times from 0 to 1, its solver, and its begin and length, s.
+
+    Pieces of a run whose lengths differ by rounding are then equal problems, with one engine. The
+    last item is empty, and nothing changes, where an engine for other times is cheap, an input
+    follows a series, or times are too close for SUNDIALS.
+    """
+    grid = problem.grid
+    begin, end = grid[[0, -1]].tolist()
+    length = end - begin
+    unit = power(_SAME_TIMES * np.spacing(max(-begin, end)) / length)
+    shares = np.round((grid - begin) / length / unit) * unit
+    cheap = problem.compiled and solver.takes_times
+    if cheap or problem.inputs is not None or np.diff(shares).min() <= _CLOSE_SHARES:
+        return problem, solver, ()
+
+    def share(step: float, towards: float) -> float:
+        return float(np.nextafter(np.float32(step / length), np.float32(towards)))
+
+    # in single precision, so that rounding makes no difference
+    if isinstance(solver, FixedStep) and solver.step_size is not None:
+        solver = replace(solver, step_size=share(solver.step_size, np.inf))
+    elif isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
+        longest = share(solver.max_step, 0) if solver.max_step < length else None
+        solver = replace(solver, max_step=longest)
+    return replace(problem, times=shares.tobytes(), in_own_time=True), solver, (begin, length)
 
 
 @cached_per_thread(32)

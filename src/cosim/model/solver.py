@@ -106,6 +106,7 @@ class Solver(ABC):
             equations are scaled.
         uses_jacobian: Whether it uses the Jacobian, which takes long to compile.
         watches: Whether a compiled run of it ends at the crossing of a relation by itself.
+        takes_times: Whether a compiled engine for other output times is cheap to build.
     """
 
     name: ClassVar[str]
@@ -117,6 +118,7 @@ class Solver(ABC):
     takes_nominal_values: ClassVar[bool] = False
     uses_jacobian: ClassVar[bool] = False
     watches: ClassVar[bool] = False
+    takes_times: ClassVar[bool] = False
 
     @property
     @abstractmethod

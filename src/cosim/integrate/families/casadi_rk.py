@@ -41,17 +41,19 @@ class _CasadiSolver(AdaptiveSolver):
     def _generated(self, problem: Problem) -> Engine:
         """Return the engine of CasADi's generated C code on the unit interval."""
         dae, grid, inputs = problem.dae, problem.grid, problem.inputs
-        start, length = grid[0], grid[-1] - grid[0]
         points = len(grid)
+        start, length = grid[0], grid[-1] - grid[0]
         path, constants = _library(type(self), dae, inputs)
         run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
-        p = MX.sym("p", dae.p.numel())
+        p, clock = MX.sym("p", dae.p.numel()), MX.sym("clock", 2 if problem.in_own_time else 0)
         settings = (points, 1 if problem.piecewise else points)
         closest = np.inf if inputs is None else float(np.diff(inputs.time).min())
         largest = min(closest, self.max_step or np.inf) / length
-        numbers = (start, length, *self.tolerance.pair, largest, *settings)
+        span = (clock,) if problem.in_own_time else (start, length)
+        numbers = (*span, *self.tolerance.pair, largest, *settings)
         extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))
-        functions = EngineFunctions(run, ca.Function("parameters", [p], [extended]))
+        known = ca.vertcat(p, clock)
+        functions = EngineFunctions(run, ca.Function("parameters", [known], [extended]))
         counts = reported(library, start, length)
         return Engine(lambda: functions, points, problem.piecewise, counts, library)
 

@@ -51,6 +51,7 @@ class Dop853(AdaptiveSolver):
     projects = True
     takes_nominal_values = True
     watches = True
+    takes_times = True
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""

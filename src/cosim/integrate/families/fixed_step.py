@@ -33,6 +33,7 @@ class FixedStep(Solver):
     adaptive = False
     projects = True
     watches = True
+    takes_times = True
     tableau: ClassVar[Tableau]
     step_size: float | None = None
 
@@ -77,14 +78,19 @@ class FixedStep(Solver):
         total = len(sizes)
         run = step.mapaccum("steps", total, {"base": 100}) if total > 1 else step
         x0, p = MX.sym("x0", dae.x.numel()), MX.sym("p", dae.p.numel())
+        times, lengths = MX(ca.DM(begins).T), MX(ca.DM(sizes).T)
+        clock = MX.sym("clock", 2 if problem.in_own_time else 0)
+        if problem.in_own_time:
+            begin, length = ca.vertsplit(clock)
+            times, lengths = begin + length * times, length * lengths
         u0 = MX.sym("u", dae.u.numel(), len(grid) if problem.piecewise else 1)
         columns = np.repeat(np.arange(1, len(grid)) * problem.piecewise, parts)
         repeated = (u0[:, columns.tolist()], ca.repmat(constants(p), 1, total))
-        states = run(x0, ca.DM(begins).T, ca.DM(sizes).T, *repeated)
+        states = run(x0, times, lengths, *repeated)
         at_output_times = (np.cumsum(parts) - 1).tolist()
         function = ca.Function(
             self.name,
-            [x0, MX.sym("z0", 0), p, u0],
+            [x0, MX.sym("z0", 0), ca.vertcat(p, clock), u0],
             [ca.horzcat(x0, states[:, at_output_times]), MX(0, len(grid))],
             ["x0", "z0", "p", "u"],
             ["xf", "zf"],

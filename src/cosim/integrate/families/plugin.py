@@ -35,13 +35,15 @@ def plugin_engine(
     dae, grid, inputs = problem.dae, problem.grid, problem.inputs
     large = is_large(dae) and not problem.sensitivities
     unit = _time_unit(grid)
-    if problem.compiled or inputs is not None or large or unit != 1:
+    if problem.compiled or inputs is not None or large or unit != 1 or problem.in_own_time:
         function = _equations(dae, problem.compiled, problem.sensitivities)
         t, x, z, u, p = symbols = symbols_of(function)
-        time = unit * t
+        clock = MX.sym("clock", 2 if problem.in_own_time else 0)
+        begin, length = ca.vertsplit(clock) if problem.in_own_time else (MX(1, 1), unit)
+        time = begin + length * t
         ode, alg = function(time, x, z, inputs_at(dae, inputs, time, u), p)
         system: dict[str, Any] = dict(zip(CALL, symbols, strict=True))
-        system |= {"ode": unit * ode, "alg": alg}
+        system |= {"p": ca.vertcat(p, clock), "ode": length * ode, "alg": alg}
     else:
         system = dae.casadi
     options = dict(options)
