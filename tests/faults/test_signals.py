@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from math import inf
 
 import pytest
@@ -17,7 +18,7 @@ from cosim.errors import ParameterError
 from cosim.extensions import deferred_signals
 from cosim.fmi.run.isolated import run_apart
 from cosim.host.limits import MOST_WAIT
-from cosim.host.signals import time_limit
+from cosim.host.signals import ended_by_signals, time_limit
 from cosim.study.extremes.campaign import explore, select_cases
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals of POSIX")
@@ -74,6 +75,43 @@ try:
 except KeyboardInterrupt:
     print("interrupted")
 """
+
+
+class Dropped:
+    """In its `__del__`, Python prints an exception and drops it."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+def lose_in_bare_except():
+    with suppress(BaseException):  # as modules have it around an import
+        signal.raise_signal(signal.SIGINT)
+
+
+@posix
+@pytest.mark.parametrize("lose", [lose_in_bare_except, Dropped])
+def test_a_lost_interrupt_is_raised_again_but_not_while_it_is_handled(lose, monkeypatch, capfd):
+    monkeypatch.setattr("cosim.host.signals._AGAIN", 0.1)
+    cleaned = False
+
+    def interrupted():
+        nonlocal cleaned
+        with ended_by_signals(command=True):
+            lose()
+            try:
+                time.sleep(20)
+            finally:
+                time.sleep(0.5)
+                cleaned = True
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert cleaned
+    assert time.monotonic() - began < 10  # measured 0.6
+    assert capfd.readouterr().err == ""
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_ctrl_c_waits_until_an_extension_module_is_loaded():

@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             if arguments is not None:
                 return _run_words(arguments, own_process=False)
-            with ended_by_signals():
+            with ended_by_signals(command=True):
                 return _run_words(sys.argv[1:], own_process=True)
         finally:
             print(end="", flush=True)  # errors of standard output are raised here

@@ -3,12 +3,16 @@
 import ctypes
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Timer, current_thread, main_thread
+from threading import Event, Thread, Timer, current_thread, main_thread
 from types import FrameType
+from typing import Any
 
 from cosim.host.limits import waiting_time
+
+_AGAIN = 2.0  # s, after which an exception that was lost is raised again
 
 
 @contextmanager
@@ -32,9 +36,9 @@ def interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
     if number:
         interrupts.append(number)
         handler = signal.getsignal(number)
-        limit = getattr(handler, "__self__", None)
-        if isinstance(limit, TimeLimit):  # the run ends as after Ctrl-C, with what it computed
-            limit.reached = limit.reached or number != signal.SIGINT
+        owner = getattr(handler, "__self__", None)
+        if isinstance(owner, TimeLimit | Insistence):  # the run ends, with what it computed
+            owner.notice(number)
         elif handler is not signal.default_int_handler:
             signal.raise_signal(number)
 
@@ -47,16 +51,23 @@ class TimeLimit:
     """A time limit: `reached` tells whether it has interrupted the work."""
 
     def __init__(self) -> None:
-        self.reached = False
+        self.reached, self._raised = False, False
 
     def expire(self) -> None:
         """Interrupt the main thread by SIGINT."""
         self.reached = True
         signal.raise_signal(signal.SIGINT)
 
-    def interrupt(self, number: int, _frame: FrameType | None) -> None:
-        """Handle the signal of the timer, or Ctrl-C."""
+    def notice(self, number: int) -> None:
+        """Note the signal of the timer, or Ctrl-C."""
         self.reached = self.reached or number != signal.SIGINT
+
+    def interrupt(self, number: int, _frame: FrameType | None) -> None:
+        """Handle one of these signals."""
+        self.notice(number)
+        if self._raised and _handled():
+            return
+        self._raised = True
         raise TimeLimitReached if self.reached else KeyboardInterrupt
 
 
@@ -74,8 +85,8 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
     thread.daemon = True
     kind = signal.SIGALRM if by_timer else signal.SIGINT
     before = signal.signal(kind, limit.interrupt)
-    if by_timer:  # again after 2 s: a callback of native code may have swallowed the exception
-        timer = signal.setitimer(signal.ITIMER_REAL, seconds, 2.0)
+    if by_timer:
+        timer = signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
     else:
         thread.start()
     try:
@@ -87,26 +98,94 @@ def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
         signal.signal(kind, before)
 
 
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Leave this context, as after Ctrl-C, before SIGTERM or SIGHUP ends the process."""
-    kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
-    usual = current_thread() is main_thread()
-    kinds = [k for k in kinds if usual and signal.getsignal(k) is signal.SIG_DFL]
+class Insistence:
+    """Handler of the signals that end a command: the exception is raised until it arrives.
 
-    received: list[int] = []
+    Native code and a bare `except` in an imported module can lose it: while nothing handles it and
+    no solver has ended by the signal, it is raised again every 2 s.
 
-    def end(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
-        signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
+    Attributes:
+        received: The first signal.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._over, self._again = Event(), False
+        self._usual_hook = sys.unraisablehook
+
+    def interrupt(self, number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
+        again, self._again = self._again, False
+        if again and (self._over.is_set() or _handled()):
+            return
+        if not again and number != signal.SIGINT:
+            signal.signal(number, signal.SIG_DFL)  # a second one ends it at once
+        if not self.received:
+            self.received.append(number)
+            sys.unraisablehook = self._lost
+            Thread(target=self._insist, daemon=True).start()
         raise KeyboardInterrupt
 
-    for kind in kinds:
-        signal.signal(kind, end)
+    def notice(self, number: int | None = None) -> None:
+        """Raise nothing again: what runs ends by itself."""
+        self.received += [] if number is None or self.received else [number]
+        self.leave()
+
+    def leave(self) -> None:
+        """Raise nothing again."""
+        self._over.set()
+        sys.unraisablehook = self._usual_hook
+
+    def _lost(self, lost: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            self._usual_hook(lost)
+
+    def _insist(self) -> None:
+        while not self._over.wait(_AGAIN):
+            self._again = True
+            if hasattr(signal, "pthread_kill"):  # ends its waiting, too
+                signal.pthread_kill(main_thread().ident or 0, signal.SIGINT)
+            else:
+                signal.raise_signal(signal.SIGINT)
+
+
+def _handled() -> bool:
+    """Return whether an interrupt is being handled, by what cleans up after it."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def interrupt_noticed() -> None:
+    """Say that what runs ends by itself after a signal, which native code has received."""
+    owner = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    if isinstance(owner, Insistence):
+        owner.notice()
+
+
+@contextmanager
+def ended_by_signals(*, command: bool = False) -> Iterator[None]:
+    """Leave this context, as after Ctrl-C, before SIGTERM or SIGHUP ends the process.
+
+    Args:
+        command: Whether Ctrl-C is for nothing but what runs here; it is then insisted on.
+    """
+    kinds = [getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
+    usual: dict[int, Any] = dict.fromkeys(kinds, signal.SIG_DFL)
+    if command:
+        usual[signal.SIGINT] = signal.default_int_handler
+    in_main = current_thread() is main_thread()
+    before = {k: v for k, v in usual.items() if in_main and signal.getsignal(k) is v}
+    end = Insistence()
+    for kind in before:
+        signal.signal(kind, end.interrupt)
     try:
         yield
     finally:
-        for kind in kinds:
-            signal.signal(kind, signal.SIG_DFL)
-        for number in received[:1]:
-            os.kill(os.getpid(), number)
+        end.leave()
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+        for number in end.received[:1]:
+            if number != signal.SIGINT:
+                os.kill(os.getpid(), number)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.host.progress import doing
-from cosim.host.signals import interruptible
+from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled, Left
 from cosim.text import Ending, EndKind
 
@@ -173,6 +173,7 @@ def call(
         rows = rows if crossing is None else np.append(rows, reached)
     states, algebraics = states[rows], algebraics[rows]
     if interrupts or "KeyboardInterrupt" in reason + messages.getvalue():  # to CasADi, a failure
+        interrupt_noticed()
         reason = INTERRUPTED
     elif reason:
         last = messages.getvalue().strip().rpartition("\n")[2].rstrip(". ")
