@@ -234,6 +234,7 @@ def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before(threads
         ({"run": {"method": "jacobi"}}, UsageError, "give macro_step"),
         ({"run": {"macro_step": 0.1, "accuracy": 1e-3}}, UsageError, "leave macro_step out"),
         ({"run": {"macro_step": -1}}, ParameterError, "macro_step"),
+        ({"run": {"macro_step": 1e-300}}, ParameterError, "macro_step = 1e-300 s is within"),
         ({"run": {"stop_time": 0}}, ParameterError, "not after"),
         ({"run": {"outputs": ["a.y"]}}, UnknownName, "no variable 'y'"),
     ],

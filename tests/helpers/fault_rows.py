@@ -72,6 +72,12 @@ def _numbers() -> Iterator[Row]:
             told = option.strip("-").replace("-", ".")
             yield Row(f"{verb} {option}={value}", words, 2, told)
 
+    for solver, told in (("cvodes", "max-step"), ("dop853", "max-step"), ("rk4", "step-size")):
+        words = ("simulate", "crank_shaft", f"--{told}=1e-300", "--solver", solver)
+        yield Row(f"{solver} --{told}=1e-300", words, 2, told.replace("-", "."))
+    words = ("export", "crank_shaft", "-o", "c.fmu", "--solver=rk4", "--step-size=1e-300")
+    yield Row("export --step-size=1e-300", words, 2, "step_size")
+
     for value in ("nan", "-1", "2"):
         words = ("tradeoff", "crank_shaft/driven", f"--relative-tolerance={value}")
         yield Row(f"tradeoff --relative-tolerance={value}", words, 2, "relative.tolerance")

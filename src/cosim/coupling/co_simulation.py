@@ -36,7 +36,7 @@ from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
-from cosim.model.times import time_grid
+from cosim.model.times import reject_rounded, time_grid
 from cosim.trajectory import Column, Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
@@ -69,6 +69,7 @@ class Settings:
     threads: bool = False
 
     def __post_init__(self) -> None:
+        reject_rounded("macro_step", self.macro_step, self.start, self.stop)
         if self.accuracy is not None and self.macro_step is not None:
             raise UsageError("accuracy chooses the macro steps; leave macro_step out")
         if self.macro_step is None and self.method in (Method.JACOBI, Method.GAUSS_SEIDEL):

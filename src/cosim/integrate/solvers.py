@@ -16,6 +16,7 @@ from cosim.integrate.families.sundials import Cvodes, CvodesAdams, Idas
 from cosim.memo import cached_per_thread
 from cosim.model.request import RunRequest
 from cosim.model.solver import LIMITS, AdaptiveSolver, Goal, Solver, Tolerance
+from cosim.model.times import reject_rounded
 from cosim.model.values import A_DAE
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -113,11 +114,17 @@ def with_largest_step(request: RunRequest) -> RunRequest:
     While nothing moves, all error estimates are 0, and steps would grow without bound. If the
     equations contain time, or a series drives them, no step of an adaptive solver spans more than
     10 output intervals or a fiftieth of the run, unless the request sets `max_step`.
+
+    Raises:
+        ParameterError: `max_step` is within the rounding of times.
     """
     dae, solver = request.dae, request.solver or Tolerance()
-    if not isinstance(solver, Tolerance | AdaptiveSolver) or solver.max_step is not None:
+    if not isinstance(solver, Tolerance | AdaptiveSolver):
         return request
     begin, end = request.times.span(dae)
+    if solver.max_step is not None:
+        reject_rounded("max_step", solver.max_step, begin, end)
+        return request
     if end == begin or not is_driven(request):
         return request
     largest = min(_MOST_INTERVALS * request.times.mean_interval(dae), (end - begin) / _LEAST_STEPS)

@@ -180,3 +180,17 @@ class Times:
         return self.start, float(self.requested[-1]) if self.own else (
             self.start + dae.experiment.stop_time
         )
+
+
+def reject_rounded(name: str, step: float | None, begin: float, end: float) -> None:
+    """Reject a step, s, that is within the rounding of the times of a run.
+
+    Raises:
+        ParameterError: It is so short.
+    """
+    latest = max(abs(begin), abs(end))
+    if step is not None and step < 4 * np.spacing(latest):
+        raise ParameterError(
+            f"{name} = {step:g} s is within the rounding of times up to {latest:g} s; give a "
+            "longer one"
+        )

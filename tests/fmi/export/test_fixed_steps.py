@@ -95,6 +95,7 @@ def test_without_derivatives_the_results_have_the_same_bits(fmi, tmp_path):
         ({"step_size": 0.01}, "step_size is for other solvers: rk4 and ode8"),
         ({"solver": "rk4", "max_step": 0.1}, "max_step is for other solvers: the adaptive ones"),
         ({"solver": "rk4", "step_size": -1.0}, "step_size = -1"),
+        ({"solver": "rk4", "step_size": 1e-300}, "step_size = 1e-300 s makes more than"),
         ({"fmi": 3, "adjoint": True, "derivatives": False}, "adjoint needs derivatives"),
     ],
 )

@@ -13,6 +13,7 @@ from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import runtime_sources, solver_sources
 from cosim.codegen.fmu.equations import embedded_sources, has_rank, model_functions
 from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
+from cosim.errors import ParameterError
 from cosim.fmi.export.dependencies import (
     Dependencies,
     structural_dependencies,
@@ -113,6 +114,7 @@ class Part:
         return any(fnmatch(entry.name, pattern) for pattern in self.files)
 
 
+MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a second
 _KERNEL_OF_EVENTS = (
     *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "enclosure.h", "search.h"),
     *("model_laws.h", "ode.h"),
@@ -171,7 +173,13 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     depends = structural_dependencies(dae)
     if system is not None:
         depends = without_modes(depends, system)
-    step_size = options.step_size or dae.experiment.output_interval
+    interval = dae.experiment.output_interval
+    step_size = options.step_size or interval
+    if interval > step_size * MOST_STEPS:
+        raise ParameterError(
+            f"export: step_size = {step_size:g} s makes more than {MOST_STEPS:.0e} steps in an "
+            f"output interval of {interval:g} s; give a longer one"
+        )
     return Plan(
         options=options,
         name=name,
