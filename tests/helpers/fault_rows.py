@@ -278,10 +278,11 @@ def _misbehaving() -> Iterator[Row]:
         "fmi2FreeInstance segv": "SIGSEGV",
         "fmi2FreeInstance exit 0": "exit code 0",
     }
-    for status in (2, 3, 4, 5, 77, -1):
-        faults[f"fmi2GetDerivatives status {status}"] = "fmi2GetDerivatives"
+    of_model = ("fmi2GetDerivatives", "fmi2GetContinuousStates")
+    for status, name in itertools.product((2, 3, 4, 5, 77, -1), of_model):
+        faults[f"{name} status {status}"] = name
     for fault, told in faults.items():
-        kind = "ModelExchange" if "Derivatives" in fault else "CoSimulation"
+        kind = "ModelExchange" if fault.startswith(of_model) else "CoSimulation"
         words = ("simulate", fault, "--trust", "--interface-type", kind, "--timeout", "5")
         yield Row(f"FMU {fault}", words, 1, told)
     own = {"GetDirectionalDerivative segv": "SIGSEGV", "Instantiate exit 3": "code 3"}

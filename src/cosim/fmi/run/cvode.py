@@ -10,7 +10,8 @@ from typing import Any
 
 from fmpy.sundials import CVodeSolver
 from fmpy.sundials.cvode import CVodeSVtolerances
-from fmpy.sundials.libraries import sundials_cvode
+from fmpy.sundials.libraries import sundials_core, sundials_cvode
+from fmpy.sundials.sundials_context import SUNContext_PushErrHandler
 
 USUAL_STEPS = 500  # of fmpy and of CVODE, from one output time to the next
 MOST_STEPS = 20_000  # a second of a small FMU
@@ -21,6 +22,8 @@ _step_count.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_long)]
 _step_count.restype = ctypes.c_int
 _most_warnings = sundials_cvode.CVodeSetMaxHnilWarns
 _most_warnings.argtypes = [ctypes.c_void_p, ctypes.c_int]
+_clear_error_handlers = sundials_core.SUNContext_ClearErrHandlers
+_clear_error_handlers.argtypes = [ctypes.c_void_p]
 _NONE = -1  # of the warnings that time does not change in a step: intervals of inputs may be short
 
 
@@ -41,8 +44,11 @@ class Cvode(CVodeSolver):  # type: ignore[misc]
         self.many_steps: tuple[float, float] | None = None
         self._interrupts = interrupts
         self._error: Exception | None = None
+        self.cvode_mem = None  # fmpy frees it, even if the FMU fails before it is made
         super().__init__(maxNumSteps=MOST_STEPS, **settings)
         _most_warnings(self.cvode_mem, _NONE)
+        _clear_error_handlers(self.sunctx)  # one of them prints what the exception says
+        SUNContext_PushErrHandler(self.sunctx, self.ehfun_, None)
 
     def f(self, *arguments: Any) -> int:
         """Evaluate the derivatives."""

@@ -27,7 +27,6 @@ from cosim.trajectory import Trajectory
 _REQUEST, _ANSWER, _VALUES = "request.pickle", "answer.json", "values.npz"
 _RESULT = "result.pickle"  # other than a Trajectory
 _BROKEN = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, EOFError)
-_SUNDIALS = "[ERROR][rank"  # the start of a message that the error repeats
 
 
 def run_apart(
@@ -64,8 +63,7 @@ def run_apart(
                 print(f"{path}: part '{part}' was being called", file=sys.stderr)
             raise
         if sys.stderr is not None:
-            others = (n for n in printed.splitlines(keepends=True) if not n.startswith(_SUNDIALS))
-            sys.stderr.writelines(others)
+            sys.stderr.write(printed)
         part = last_called(folder)
         what = f"part '{part}'" if part else "the FMU"
         if code is None:
