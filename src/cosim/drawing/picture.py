@@ -110,9 +110,8 @@ class Stage:
                 axis.text(x, y, text, fontsize=8, ha="center", zorder=6)
         faces, shades = camera.faces(np.vstack(corners), np.vstack(paint))
         axis.add_collection(
-            PolyCollection(
-                list(faces), facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3
-            )
+            PolyCollection(faces, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3),
+            autolim=False,
         )
 
     def _ground(self, axis: Axes, camera: Camera, frame: int) -> None:
@@ -144,7 +143,8 @@ class Stage:
         seen = camera.seen(lines)
         shown = np.where(seen[..., 2:] > 0.05 * self.scale.pose, seen[..., :2], np.nan)
         axis.add_collection(
-            LineCollection(list(shown), colors=[color], linewidths=width, zorder=order)
+            LineCollection(list(shown), colors=[color], linewidths=width, zorder=order),
+            autolim=False,
         )
 
     def _axes(self, axis: Axes, camera: Camera) -> None:
