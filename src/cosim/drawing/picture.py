@@ -108,6 +108,7 @@ class Stage:
         if all(abs(a[0] - b[0]) > 0.3 or abs(a[1] - b[1]) > 0.1 for a, b in combinations(tops, 2)):
             for x, y, text in tops:  # if they would overlap, the title alone names the times
                 axis.text(x, y, text, fontsize=8, ha="center", zorder=6)
+        faces: Any  # matplotlib's stubs know lists only, which take longer
         faces, shades = camera.faces(np.vstack(corners), np.vstack(paint))
         axis.add_collection(
             PolyCollection(faces, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3),
