@@ -203,8 +203,8 @@ static void a_crossing_is_located_and_a_touch_is_none(void) {
     assert(found.relation < 0);
 }
 
-/* A dip between two looks, which bounds do not exclude. */
-static const double AT = 0.3717, WIDTH = 1e-7;
+/* A dip between two looks, which bounds do not exclude, after a touch, which they never do. */
+static const double TOUCHED = 0.35, AT = 0.3717, WIDTH = 1e-7;
 
 static void look_at_dip(void *motion, double t, Place *found) {
     parabola_at(-1, t, found);
@@ -222,7 +222,8 @@ static bool step_into_dip(void *motion, double t, Place *found) {
 
 static bool has_no_dip(void *motion, const Place *a, const Place *b) {
     (void)motion;
-    return b->t < AT - WIDTH || a->t > AT + WIDTH;
+    const bool touches = a->t <= TOUCHED && TOUCHED <= b->t;
+    return !touches && (b->t < AT - WIDTH || a->t > AT + WIDTH);
 }
 
 static void what_bounds_do_not_exclude_is_looked_at_closely(void) {
@@ -259,7 +260,8 @@ static void what_has_left_and_comes_back_was_first(void) {
     Crossing found;
     Parabola motion = {0, 0.01};
     look_late(&motion, 0, &before);
-    assert(find_crossing(look_late, proven, step_both, &motion, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look_late, proven, step_both, &motion, slack, 0, before, 1, &found) ==
+           CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
 }
 

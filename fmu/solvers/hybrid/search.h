@@ -120,16 +120,16 @@ static inline bool find_outside(LookAt *look, Stays *stays, void *motion, Place 
                                 int *parts) {
     const Place last = *b;
     while (*parts > 0 && a->t < last.t) {
-        const double length = b->t - a->t;
-        const bool proven = stays(motion, a, b);
+        const double length = b->t - a->t, middle = a->t + length / 2;
+        const bool is_shortest = !(middle > a->t && middle < b->t);
+        const bool goes_on = is_shortest || stays(motion, a, b);
         --*parts;
-        if (proven) *a = *b;
-        const double t = a->t + (proven ? 2 : 0.5) * length;
-        if (t < last.t && t > a->t)
+        if (goes_on) *a = *b;
+        const double t = goes_on ? a->t + 2 * length : middle;
+        if (t < last.t)
             look(motion, t, b);
         else
             *b = last;
-        if (!proven && !(t > a->t && t < a->t + length)) *a = *b; /* but for rounding of time */
         if (outside(b) >= 0) return true;
     }
     return false;
