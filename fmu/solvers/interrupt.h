@@ -1,4 +1,4 @@
-/* A signal ends a run (Ctrl-C, a time limit): the library takes it over meanwhile.
+/* A signal ends a run (Ctrl-C, a time limit, the end of a command): the library takes it over.
  *
  * The run itself looks at `halted` once per step or right-hand side.
  */
@@ -7,6 +7,7 @@
 
 #include <signal.h>
 #include <stddef.h>
+#include <string.h>
 
 #ifdef _WIN32
 #define SHARED __declspec(dllexport)
@@ -64,15 +65,21 @@ static const int watched_signals[] = {
 #ifdef SIGALRM
     SIGALRM,
 #endif
+    SIGTERM, /* from here on those that end a command */
+#ifdef SIGHUP
+    SIGHUP,
+#endif
 };
 enum { WATCHED = sizeof watched_signals / sizeof *watched_signals };
 
 static Handling handling_before[WATCHED];
 static int taken_over[WATCHED];
 
-/* Lets handled signals end the runs that follow. */
-SHARED void cosim_watch(void) {
-    for (int i = 0; i < WATCHED; ++i) {
+/* Lets handled signals end the runs that follow, if these are a command's also those that end it.
+ */
+SHARED void cosim_watch(int of_command) {
+    memset(taken_over, 0, sizeof taken_over);
+    for (int i = 0; i < WATCHED && (of_command || watched_signals[i] != SIGTERM); ++i) {
         taken_over[i] = take_over(watched_signals[i], &handling_before[i]);
         if (!taken_over[i] || is_handled(&handling_before[i])) continue;
         give_back(watched_signals[i], &handling_before[i]);

@@ -38,7 +38,7 @@ def test_report_is_taken_before_the_driver_gives_up():
 def test_run_can_be_halted_at_every_right_hand_side():
     code = watched(DRIVER)
     assert "case IVP_EVAL_RHS:\n          if (halted) return 1;" in code
-    assert "SHARED void cosim_watch(void)" in code
+    assert "SHARED void cosim_watch(int of_command)" in code
 
 
 def test_smallest_step_is_what_time_resolves():

@@ -233,6 +233,24 @@ def test_ctrl_c_reaches_extreme_cases_within_a_second(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @posix
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP])
+def test_a_long_compiled_run_ends_with_its_command(kind, tmp_path):
+    parts = pathlib.Path(__file__).parents[2] / "examples" / "coupled" / "parts.py"
+    part = f'[parts]\nmass = "{parts.as_posix()}:oscillator"\n'
+    (tmp_path / "one.toml").write_text(part)
+    words = ["simulate", "one.toml", "--stop-time", "1", "--macro-step", "1e-10"]
+    process = subprocess.Popen([sys.executable, "-m", "cosim", *words], cwd=tmp_path)
+    time.sleep(20)  # it would run for hours
+    assert process.poll() is None
+    process.send_signal(kind)
+    try:
+        assert process.wait(5) == -kind
+    finally:
+        process.kill()
+
+
+@pytest.mark.slow
+@posix
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_workers_of_a_sweep_end_with_it(kind, tmp_path):
     psutil = pytest.importorskip("psutil")

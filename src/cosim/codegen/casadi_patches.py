@@ -25,8 +25,8 @@ def watched(code: str) -> str:
 
     `void cosim_report(double out[6])` writes statistics of the thread's last run: steps,
     right-hand sides, Jacobians, the driver's status (0: success), final time, last step size.
-    After `void cosim_watch(void)`, signals stop runs at their next right-hand side, and `int
-    cosim_halted(void)` returns the signal; see fmu/solvers/interrupt.h.
+    After `void cosim_watch(int of_command)`, signals stop runs at their next right-hand side, and
+    `int cosim_halted(void)` returns the signal; see fmu/solvers/interrupt.h.
     """
     return f"""static _Thread_local double cosim_seen[{REPORT}];
 {solver_source("interrupt.h")}

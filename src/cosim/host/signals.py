@@ -28,19 +28,23 @@ def interruptible(library: ctypes.CDLL | None) -> Iterator[list[int]]:
     if library is None or current_thread() is not main_thread():
         yield interrupts
         return
-    library.cosim_watch()
+    library.cosim_watch(isinstance(_owner_of(signal.SIGTERM), Insistence))
     try:
         yield interrupts
     finally:
         number = library.cosim_halted()
     if number:
         interrupts.append(number)
-        handler = signal.getsignal(number)
-        owner = getattr(handler, "__self__", None)
+        owner = _owner_of(number)
         if isinstance(owner, TimeLimit | Insistence):  # the run ends, with what it computed
             owner.notice(number)
-        elif handler is not signal.default_int_handler:
+        elif signal.getsignal(number) is not signal.default_int_handler:
             signal.raise_signal(number)
+
+
+def _owner_of(number: int) -> object:
+    """Return the object whose method handles a signal; None if that is no method."""
+    return getattr(signal.getsignal(number), "__self__", None)
 
 
 class TimeLimitReached(KeyboardInterrupt):
@@ -159,7 +163,7 @@ def _handled() -> bool:
 
 def interrupt_noticed() -> None:
     """Say that what runs ends by itself after a signal, which native code has received."""
-    owner = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    owner = _owner_of(signal.SIGINT)
     if isinstance(owner, Insistence):
         owner.notice()
 
