@@ -80,12 +80,16 @@ def operation_count(function: ca.Function) -> int:
     return sum(code not in moves for code in codes)
 
 
+def at_irregular_place(expression: SX, known: SX) -> ca.DM:
+    """Return an expression where its symbols, a column, have values that no formula prefers."""
+    place = [0.2 + 0.6 * (k * _GOLDEN % 1) for k in range(1, known.numel() + 1)]
+    return ca.densify(ca.Function("at", [known], [expression])(place))
+
+
 def are_equal(one: SX, other: SX) -> bool:
     """Return whether two columns are the same function, by their values at an irregular place."""
     both = ca.horzcat(one, other)
-    known = ca.veccat(*ca.symvar(both))
-    place = [0.2 + 0.6 * (k * _GOLDEN % 1) for k in range(1, known.numel() + 1)]
-    first, second = ca.horzsplit(ca.densify(ca.Function("both", [known], [both])(place)))
+    first, second = ca.horzsplit(at_irregular_place(both, ca.veccat(*ca.symvar(both))))
     rounding = 1e-9 * ca.fabs(second) + 1e-12 * ca.norm_fro(second)
     return all((ca.fabs(first - second) <= rounding).elements())  # NaN is not
 

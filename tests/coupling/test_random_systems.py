@@ -58,15 +58,9 @@ def test_parts_with_kinks_jumps_and_friction_agree_with_the_one_model(seed):
     assert_accurate(system, lambda _times: exact)
 
 
-# Seed 3: places of terms of inputs in the files are events without end for one another.
-ENDLESS = pytest.mark.xfail(reason="places of terms of inputs follow each other without end")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-def test_files_of_others_with_fewer_abilities_are_as_accurate_as_asked(seed, tmp_path, request):
-    if seed == 3:
-        request.applymarker(ENDLESS)
+def test_files_of_others_with_fewer_abilities_are_as_accurate_as_asked(seed, tmp_path):
     drawn, random, parts = RandomSystem(seed), Random(seed), {}
     for name, dae in drawn.parts.items():
         path = cosim.export_fmu(dae, tmp_path / f"{name}.fmu", fmi=random.choice([2, 3]))

@@ -14,6 +14,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Variable
+from casadi_models.dae.expressions import at_irregular_place
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
@@ -100,12 +101,13 @@ def landmarks(dae: Dae) -> Landmarks:
         if across is None and not several.is_inverse:
             passed.append(", ".join(names[i] for term in several.each for i in term.movers))
         every_change += across or []
-    changes = dict[tuple[int, ...], dict[tuple[int, bytes], _Change]]()
+    changes = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
     for change in every_change:  # one that has different factors in two equations is one
         key = change.term.variable.element_hash(), change.places.tobytes()
-        changes.setdefault(change.term.movers, {}).setdefault(key, change)
+        changes.setdefault(_direction(dae, change.term), {}).setdefault(key, change)
     rows, times, given = list[SX](), [np.empty(0)], set[str]()
-    for movers, own in changes.items():
+    for own in changes.values():
+        movers = next(iter(own.values())).term.movers
         steps = sum(change.is_step for change in own.values())
         needed = [change for change in own.values() if not change.is_step or steps > 1]
         name = ", ".join(names[i] for i in movers)
@@ -130,6 +132,14 @@ def landmarks(dae: Dae) -> Landmarks:
     return Landmarks(
         arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
     )
+
+
+def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
+    """Return in which direction of all that may move a term changes: a step undoes one along it."""
+    moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
+    gradient = ca.gradient(term.variable, moving)
+    found = np.array(at_irregular_place(gradient, ca.vertcat(moving, dae.p))).ravel()
+    return tuple(np.round(found / found[np.argmax(np.abs(found))], 9).tolist())
 
 
 def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Change]:

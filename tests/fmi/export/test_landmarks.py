@@ -248,6 +248,13 @@ def test_terms_that_steps_see_have_no_places(force):
     assert landmarks(dae).arguments.numel() == 0
 
 
+def test_slopes_of_different_sums_of_the_same_quantities_have_no_places():
+    x, y, u = SX.sym("x"), SX.sym("y"), SX.sym("u")
+    ode = ca.vertcat(ca.tanh(x - y + 2 * u) - x, ca.tanh(2 * x + y - u) - y)
+    dae = cosim.from_casadi({"x": ca.vertcat(x, y), "u": u, "ode": ode})
+    assert landmarks(dae).arguments.numel() == 0
+
+
 def test_one_slope_in_two_equations_has_no_places():
     x, v, w = SX.sym("x"), SX.sym("v"), SX.sym("w")
     friction = ca.tanh(v / 0.01)
