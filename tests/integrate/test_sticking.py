@@ -72,7 +72,7 @@ def test_impacts_that_die_out_end_the_run(restitution, solver):
     model.when(h < 0, {v: -restitution * v}, name="impact")
     last = np.sqrt(2 / 9.81) * (1 + restitution) / (1 - restitution)
     for tolerance in (1e-6, 1e-8, 1e-10):
-        with pytest.raises(SolverError, match=r"Zeno|stays true") as caught:
+        with pytest.raises(SolverError, match="Zeno") as caught:
             cosim.simulate(model.freeze(), solver=solver, relative_tolerance=tolerance)
         assert caught.value.partial.time[-1] == pytest.approx(last, abs=0.02)
         assert caught.value.partial["h"].min() > -1e-9

@@ -217,7 +217,8 @@ static inline Ending assign(const Laws *laws, Switching *s, const Point *at, con
 }
 
 /* The condition of a rule that stays true beyond its boundary: the rule has assigned states on
- * which the rate of the boundary depends, that rate is 0, and the second one leads further in. */
+ * which the rate of the boundary depends, that rate is 0, and the second one leads further in. If
+ * events have come closer and closer before, this is where they die out. */
 static inline Ending reject_staying(const Laws *laws, const Switching *s, const Point *at,
                                     const bool happened[], const bool zero[]) {
     Decision now;
@@ -235,7 +236,7 @@ static inline Ending reject_staying(const Laws *laws, const Switching *s, const 
             const double tiny = ROUNDING * seen.sizes[j];
             if (zero[j] && s->state[j] != SLIDES && fabs(seen.rates[j]) <= tiny &&
                 modes_of(at)[j] * seen.seconds[j] > tiny)
-                return ending(STAYS_TRUE, i);
+                return ending(s->close > 0 ? TOO_CLOSE : STAYS_TRUE, i);
         }
     }
     return GOING_ON;
