@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "cubic.h"
 #include "equations.h"
 #include "evaluation.h"
 #include "events.h"
@@ -74,13 +75,13 @@ typedef struct {
     double slopes[2][ROOM(NX)];
 } Cubic;
 
-static void on_cubic(void *cubic, double t, double x[], double z[], double u[]) {
+static void within_step(void *cubic, double t, double x[], double z[], double u[]) {
     const Cubic *self = cubic;
     const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
-    const double s = (t - a[TIME]) / h, r = 1 - s;
+    double rate;
     for (int i = 0; i < NX; i++)
-        x[i] = r * r * (1 + 2 * s) * a[FIRST_STATE + i] + s * s * (1 + 2 * r) * b[FIRST_STATE + i] +
-               h * s * r * (r * self->slopes[0][i] - s * self->slopes[1][i]);
+        x[i] = on_cubic(a[FIRST_STATE + i], b[FIRST_STATE + i], self->slopes[0][i],
+                        self->slopes[1][i], h, (t - a[TIME]) / h, &rate);
     memcpy(z, a + FIRST_ALGEBRAIC, NZ * sizeof *z);
     inputs_at(self->fmu, t, u);
 }
@@ -101,7 +102,7 @@ static bool leaving_on_cubic(Instance *self, const State *from, double end, doub
     if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    find_leaving(self, &(Motion){&cubic, on_cubic, NULL}, from->values[TIME], end, leaving);
+    find_leaving(self, &(Motion){&cubic, within_step, NULL}, from->values[TIME], end, leaving);
     return true;
 }
 
@@ -151,7 +152,7 @@ static bool end_at_crossing(Instance *self, const State *from, int *relation) {
     if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    const Motion motion = {&cubic, on_cubic, step_again};
+    const Motion motion = {&cubic, within_step, step_again};
     Crossing crossing;
     if (!find_event(self, &motion, from->values[TIME], to.values[TIME], &crossing)) return false;
     *relation = crossing.relation;

@@ -152,32 +152,18 @@ typedef struct {
     const Motion *motion;
 } SearchedStep;
 
-/* Margins at a point; what has no value is no event. */
-static bool margins_at(SearchedStep *self, const Point *at, Place *found) {
-    const Switching *s = &self->fmu->state.switching;
-    Seen seen;
-    found->t = at->t;
-    const bool valued = look_closely(&self->laws, s, at, &seen);
-    if (valued) measure(&self->laws, s, modes_of(at), &seen, found->inside, found->rates);
-    for (int i = 0; i < MODES && !valued; i++) {
-        found->inside[i] = 1;
-        found->rates[i] = 0;
-    }
-    return valued;
-}
-
 static void look_at(void *step, double t, Place *found) {
     SearchedStep *self = step;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     self->motion->at(self->motion->solver, t, x, z, u);
-    margins_at(self, &(Point){t, x, z, u}, found);
+    margins_at(&self->laws, &self->fmu->state.switching, &(Point){t, x, z, u}, found);
 }
 
 static bool step_afresh(void *step, double t, Place *found) {
     SearchedStep *self = step;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     return self->motion->step_to(self->motion->solver, t, x, z, u) &&
-           margins_at(self, &(Point){t, x, z, u}, found);
+           margins_at(&self->laws, &self->fmu->state.switching, &(Point){t, x, z, u}, found);
 }
 
 static bool stays(void *step, const Place *a, const Place *b) {
@@ -219,7 +205,7 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end,
     motion->at(motion->solver, begin, x, z, u);
     const Point at = {begin, x, z, u};
     note_slack(&step.laws, s, &at);
-    margins_at(&step, &at, &before);
+    margins_at(&step.laws, s, &at, &before);
     const Located how =
         find_crossing(look_at, stays, step_afresh, &step, s->slack, begin, before, end, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);

@@ -2,6 +2,7 @@
 #ifndef FIXED_H
 #define FIXED_H
 
+#include "cubic.h"
 #include "interrupt.h"
 #include "projection.h"
 #include "watch.h"
@@ -41,13 +42,9 @@ typedef struct {
 /* On the cubic through its ends. */
 static inline int within_made(void *made, double t, double *x, double *dx) {
     const Made *self = made;
-    const double h = self->h, s = (t - self->t) / h, r = 1 - s;
-    for (int i = 0; i < NX; ++i) {
-        const double a = self->x[i], b = self->end[i];
-        const double fa = self->slope[i], fb = self->slope_at_end[i];
-        x[i] = r * r * (1 + 2 * s) * a + s * s * (1 + 2 * r) * b + h * s * r * (r * fa - s * fb);
-        dx[i] = 6 * s * r * (b - a) / h + r * (1 - 3 * s) * fa + s * (1 - 3 * r) * fb;
-    }
+    for (int i = 0; i < NX; ++i)
+        x[i] = on_cubic(self->x[i], self->end[i], self->slope[i], self->slope_at_end[i], self->h,
+                        (t - self->t) / self->h, &dx[i]);
     return 0;
 }
 

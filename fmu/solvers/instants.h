@@ -6,6 +6,7 @@
 #ifndef INSTANTS_H
 #define INSTANTS_H
 
+#include "cubic.h"
 #include "interrupt.h"
 #include "model_laws.h"
 #include "search.h"
@@ -128,14 +129,6 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
 
 #if ENCLOSED > 0
 
-/* A cubic through values and slopes at both ends of a length, and its slope, at a share of it. */
-static inline double on_cubic(const double a, const double b, const double slopes[2], double length,
-                              double s, double *rate) {
-    const double r = 1 - s, change = (b - a) / length;
-    *rate = 6 * s * r * change + r * (1 - 3 * s) * slopes[0] + s * (1 - 3 * r) * slopes[1];
-    return a + s * s * (1 + 2 * r) * (b - a) + length * s * r * (r * slopes[0] - s * slopes[1]);
-}
-
 /* Widens spans by those of a cubic, and of what it may be off. */
 static inline void span_cubic(const double a, const double b, const double slopes[2], double length,
                               double defect, int i, Spans *spans) {
@@ -199,28 +192,21 @@ static inline void move_on_cubic(const Cubic *self, double t, double x[], double
     const double length = rows->times[1] - rows->times[0], s = (t - rows->times[0]) / length;
     double rate;
     for (int i = 0; i < NX; i++)
-        x[i] = on_cubic(rows->x[i], rows->x[i + NX],
-                        (const double[]){rows->dx[i], rows->dx[i + NX]}, length, s, &rate);
+        x[i] =
+            on_cubic(rows->x[i], rows->x[i + NX], rows->dx[i], rows->dx[i + NX], length, s, &rate);
     for (int i = 0; i < NU; i++)
-        u[i] = on_cubic(rows->u[i], rows->u[i + NU],
-                        (const double[]){rows->du[i], rows->du[i + NU]}, length, s, &du[i]);
+        u[i] =
+            on_cubic(rows->u[i], rows->u[i + NU], rows->du[i], rows->du[i + NU], length, s, &du[i]);
 }
 
 static inline void look_on_cubic(void *cubic, double t, Place *found) {
     const Cubic *self = cubic;
     Kernel *kernel = self->kernel;
     double x[NX + 1], z[NZ + 1], u[NU + 1], du[NU + 1];
-    const Point at = {t, x, z, u};
-    Seen seen;
-    found->t = t;
     move_on_cubic(self, t, x, u, du);
     memcpy(z, kernel->at.z, NZ * sizeof *z);
     kernel->owner.slopes = du;
-    const bool valued = look_closely(&kernel->laws, kernel->switching, &at, &seen);
-    if (valued)
-        measure(&kernel->laws, kernel->switching, modes_of(&at), &seen, found->inside,
-                found->rates);
-    for (int i = 0; i < MODES && !valued; i++) found->inside[i] = 1, found->rates[i] = 0;
+    margins_at(&kernel->laws, kernel->switching, &(Point){t, x, z, u}, found);
 }
 
 static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {

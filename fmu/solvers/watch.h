@@ -100,11 +100,7 @@ static inline void look_at(const Step *self, double t, double *x, Place *found) 
     const int lost = self->within(self->motion, t, x, dx) ||
                      (NZ > 0 && equations_at(self->watch->problem, t, x, slopes, z)) ||
                      look(self->watch, t, x, z, dx, found);
-    for (int i = 0; lost && i < MODES; ++i) {
-        found->inside[i] = 1;
-        found->rates[i] = 0;
-    }
-    found->t = t;
+    if (lost) note_no_event(t, found);
 }
 
 static inline void look_within(void *accepted, double t, Place *found) {

@@ -23,6 +23,23 @@ typedef struct {
     double t, inside[MODES + 1], rates[MODES + 1];
 } Place;
 
+static inline void note_no_event(double t, Place *found) {
+    found->t = t;
+    for (int i = 0; i < MODES; ++i) {
+        found->inside[i] = 1;
+        found->rates[i] = 0;
+    }
+}
+
+/* The margins at a point. */
+static inline bool margins_at(const Laws *laws, const Switching *s, const Point *at, Place *found) {
+    Seen seen;
+    note_no_event(at->t, found);
+    if (!look_closely(laws, s, at, &seen)) return false;
+    measure(laws, s, modes_of(at), &seen, found->inside, found->rates);
+    return true;
+}
+
 typedef void LookAt(void *motion, double t, Place *found);
 
 /* Whether bounds prove that no relation is outside between two places where none is. */

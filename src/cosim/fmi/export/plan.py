@@ -132,7 +132,7 @@ PARTS = (
     Part(
         "co-simulation with a generated solver",
         lambda plan: not plan.dop853,
-        ("integration_step.c",),
+        ("integration_step.c", "cubic.h"),
     ),
     Part(
         "relations, events or pulses",
