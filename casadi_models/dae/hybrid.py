@@ -454,14 +454,13 @@ def hybrid(dae: Dae) -> Hybrid | None:
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
 
 
-def is_mode(variable: Variable) -> bool:
-    """Return whether an input of frozen equations is the mode of a relation."""
-    return variable.name.startswith("mode_") and variable.meaning.startswith("mode of ")
+class Mode(Variable):
+    """An input of frozen equations that is the mode of a relation."""
 
 
-def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Variable, ...]:
+def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Mode, ...]:
     return tuple(
-        Variable(f"mode_{first + i + 1}", "1", f"mode of {relation.operation}", 1.0)
+        Mode(f"mode_{first + i + 1}", "1", f"mode of {relation.operation}", 1.0)
         for i, relation in enumerate(relations)
     )
 

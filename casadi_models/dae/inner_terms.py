@@ -11,7 +11,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.hybrid import is_mode
+from casadi_models.dae.hybrid import Mode
 from casadi_models.dae.relations import applied, called
 from casadi_models.dae.single_terms import SUMS, in_postorder, several_terms, single_terms
 
@@ -81,7 +81,8 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
     columns = dae.x, dae.t, dae.z, dae.u
     moving = [symbol for column in columns if column.numel() for symbol in ca.vertsplit(column)]
-    moving = moving[: len(moving) - sum(map(is_mode, dae.inputs))]  # a mode does not move: it jumps
+    modes = sum(isinstance(variable, Mode) for variable in dae.inputs)
+    moving = moving[: len(moving) - modes]  # a mode does not move: it jumps
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
     known, found = {*places, *_keys(dae.p)}, list[SeveralInner]()
     resting, inverse = map(ca.vertsplit, several_terms(dae))
