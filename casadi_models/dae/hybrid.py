@@ -8,28 +8,22 @@ Source  Cellier & Kofman, Continuous System Simulation, Springer 2006, chapter 9
         Differential Equations with Discontinuous Righthand Sides, Kluwer 1988.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 from casadi import MX, SX
 
+from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, applied, replayed
+from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
 from casadi_models.dae.variables import Variable
 
 _MOST_OPERATIONS = 500  # of an argument whose bounds over a part of a step tell something
-
-_LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
-    ca.OP_AND: lambda a, b: a * b,
-    ca.OP_OR: lambda a, b: a + b - a * b,
-    ca.OP_NOT: lambda a: 1 - a,
-    ca.OP_IF_ELSE_ZERO: lambda a, b: a * b,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,7 +322,7 @@ class Hybrid:
         laws = ca.vertcat(self.dae.ode, self.dae.alg, self.dae.outputs)
         if not modes or ca.OP_CALL in operations(laws):
             return self
-        return replace(self, dae=_polynomial(self.dae, modes, taken=True))
+        return replace(self, dae=affine_in_modes(self.dae, modes, taken=True))
 
     def slid(self, which: Collection[int]) -> "Hybrid":
         """Return the equations in which the modes of some relations keep their arguments at 0.
@@ -341,7 +335,7 @@ class Hybrid:
             return self
         dae, rows = self.dae, list(chosen)
         first = dae.u.numel() - len(self.relations)
-        polynomial = _polynomial(dae, {first + i for i in rows})
+        polynomial = affine_in_modes(dae, {first + i for i in rows})
         modes = SX.sym("slid", len(rows))
         every = self.modes
         values = SX(every)
@@ -474,58 +468,3 @@ def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:
         moving = ca.vertcat(dae.x, dae.z, *ca.vertsplit(dae.u)[:first], *others)
         found.append(not ca.depends_on(relation.argument, moving))
     return found
-
-
-def _polynomial(dae: Dae, modes: Collection[int], *, taken: bool = False) -> Dae:
-    """Return frozen laws that are affine in each of some modes, which may lie between -1 and 1.
-
-    Args:
-        dae: A frozen model.
-        modes: Positions of the modes in `dae.u`.
-        taken: Whether a branch that is not taken has no influence even where it has no value; the
-            derivatives with respect to modes are then wrong.
-    """
-    results = [dae.ode, dae.alg, dae.outputs]
-    function = ca.Function("laws", dae.arguments, results, {"cse": True})
-    symbols = [ca.vertsplit(argument) for argument in dae.arguments]
-
-    def operation(code: int, operands: list[tuple[SX, bool]]) -> tuple[SX, bool]:
-        """Return a value, and whether it is a truth value of modes."""
-        terms, of_mode = [value for value, _ in operands], any(truth for _, truth in operands)
-        if of_mode and code == ca.OP_LT:  # 0 < mode
-            return (1 + terms[1]) / 2, True
-        if of_mode and taken and code == ca.OP_IF_ELSE_ZERO:
-            return terms[0] * SX.binary(code, *terms), False
-        if of_mode and code in _LOGIC:
-            return _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
-        return applied(code, terms), False
-
-    found = replayed(
-        function,
-        lambda argument, row: (symbols[argument][row], argument == 3 and row in modes),
-        lambda value: (value, False),
-        operation,
-    )
-    columns = [column(value for value, _ in rows) for rows in found]
-    for mode in (symbols[3][i] for i in sorted(modes)):
-        columns = [_affine(laws, mode, taken) for laws in columns]
-    ode, alg, outputs = columns
-    return replace(dae, ode=ode, alg=alg, outputs=outputs)
-
-
-def _affine(laws: SX, mode: SX, taken: bool) -> SX:
-    """Return laws that are affine in a mode: convex combinations of its two sides (Filippov).
-
-    A mode of exactly 0 is that of rest, where the laws have their own value.
-
-    Args: See `_polynomial`.
-    """
-    curved = ca.which_depends(laws, mode, 2, True) if ca.depends_on(laws, mode) else []
-    for row in (i for i, bent in enumerate(curved) if bent):  # as where `fabs` has the same mode
-        sides = [(ca.substitute(laws[row], mode, SX(s)), (1 + s * mode) / 2) for s in (1, -1)]
-        rest = ca.substitute(laws[row], mode, SX(0))
-        if taken:
-            sides = [(SX.binary(ca.OP_IF_ELSE_ZERO, share, law), share) for law, share in sides]
-        blend = sum(share * law for law, share in sides)
-        laws[row] = ca.if_else(mode == 0, rest, blend) if taken else blend
-    return laws

@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import expm
 
 import cosim
-from cosim.errors import SolverError
 
 STOP = 3.0
 
@@ -456,82 +455,6 @@ def test_request_and_acknowledgement_at_one_instant_count_once(settings):
     for run in (system.simulate(stop_time=1.5, **settings), cosim.simulate(system.dae)):
         final = [run.final[name] for name in ("c.q", "s.a", "c.n", "s.k")]
         assert final == [0, 0, 1, 1]
-
-
-def wheel(name, inertia, drive, start):
-    """A wheel: inertia w' = drive + T."""
-    model = cosim.Model(name, stop_time=1.0)
-    w, torque = model.state("w", "rad/s", start, "speed"), model.input("T", "N.m", 0.0, "torque")
-    model.derivative(w, (drive + torque) / inertia)
-    return model.freeze()
-
-
-def clutch():
-    """Dry friction of 30 N.m between two wheels."""
-    model = cosim.Model("clutch", stop_time=1.0)
-    u, v = (model.input(n, "rad/s", start, "speed") for n, start in (("u", 100.0), ("v", 0.0)))
-    model.output("T", "N.m", 30 * ca.sign(u - v), "torque on the slow wheel")
-    model.output("R", "N.m", -30 * ca.sign(u - v), "torque on the fast wheel")
-    return model.freeze()
-
-
-def sliding_wheels():
-    parts = {"a": wheel("fast", 0.2, 5.0, 100.0), "c": clutch(), "b": wheel("slow", 0.5, 0.0, 0.0)}
-    return parts, {"a.T": "c.R", "b.T": "c.T", "c.u": "a.w", "c.v": "b.w"}
-
-
-@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
-def test_parts_that_hold_the_sides_of_a_relation_slide_together(settings):
-    """The wheels turn together from 20/37 s, at 60 * 20/37 = 32.43 rad/s, then 5/0.7 rad/s2."""
-    parts, wires = sliding_wheels()
-    parts["far"] = wheel("far", 1.0, 0.0, 0.0)  # feels them, but is not felt
-    system = cosim.couple(parts, {**wires, "far.T": "c.T"})
-    run = system.simulate(stop_time=1.0, output_interval=0.01, **settings)
-    since = np.maximum(run.time - 20 / 37, 0)
-    together = 60 * 20 / 37 + 5 / 0.7 * since
-    for name, before in (("a.w", 100 - 125 * run.time), ("b.w", 60 * run.time)):
-        right = np.where(since > 0, together, before)
-        np.testing.assert_allclose(run[name], right, rtol=0, atol=1e-9)  # measured 5e-14
-    assert run.final["c.T"] == pytest.approx(0.5 * 5 / 0.7)
-    assert [event.time for event in run.events] == pytest.approx([20 / 37], abs=1e-12)
-    assert "a and b and c slide on each other" in run.stats["note"]
-    turned = cosim.couple(dict(reversed(parts.items())), {**wires, "far.T": "c.T"})
-    for same in (system, turned):
-        again = same.simulate(stop_time=1.0, output_interval=0.01, threads=True, **settings)
-        for name in run.names:
-            np.testing.assert_array_equal(again[name], run[name])
-
-
-@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
-def test_wheels_that_start_at_rest_stick_from_the_start(settings):
-    """'R is nan at time 5.8e-129' before."""
-    parts, wires = sliding_wheels()
-    parts["a"] = wheel("fast", 0.2, 5.0, 0.0)
-    run = cosim.couple(parts, wires).simulate(stop_time=1.0, **settings)
-    for name in ("a.w", "b.w"):
-        np.testing.assert_allclose(run[name], 5 / 0.7 * run.time, rtol=0, atol=1e-9)
-
-
-def test_sliding_parts_that_are_no_one_model_end_in_the_error_of_the_parts():
-    """A loop of a gain so near to 1 that it is singular as one model; 'ValueError' before."""
-    parts, wires = sliding_wheels()
-    for name, gain in (("a", 1.0), ("b", 1 - 1e-13)):
-        model = cosim.Model(name, stop_time=1.0)
-        w, torque = model.state("w", "rad/s", 0.0, "speed"), model.input("T", "N.m", 0.0, "torque")
-        model.derivative(w, 5 * gain * (name == "a") + torque)
-        model.output("y", "1", gain * model.input("u", "1", 0.0, "u"), "y")
-        parts[name] = model.freeze()
-    wires |= {"a.u": "b.y", "b.u": "a.y"}
-    with pytest.raises(SolverError, match="Zeno"):
-        cosim.couple(parts, wires).simulate(stop_time=1.0)
-
-
-@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
-def test_sliding_on_a_part_of_unknown_equations_names_it(settings, tmp_path):
-    parts, wires = sliding_wheels()
-    parts["b"] = str(cosim.export_fmu(parts["b"], tmp_path / "slow.fmu"))
-    with pytest.raises(SolverError, match=r"slide .*couple them as models: .* of b are not known"):
-        cosim.couple(parts, wires).simulate(stop_time=1.0, output_interval=0.01, **settings)
 
 
 def test_the_interface_error_of_given_steps_tells_of_jumps_of_held_inputs(tmp_path):
