@@ -114,6 +114,18 @@ def test_a_lost_interrupt_is_raised_again_but_not_while_it_is_handled(lose, monk
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_ctrl_c_while_a_class_is_made_is_ctrl_c(monkeypatch, capsys):
+    class Interrupts:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        "cosim.cli.verbs.info.run", lambda _args: type("A", (), {"a": Interrupts()})
+    )
+    assert main(["info", "crank_shaft"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_ctrl_c_waits_until_an_extension_module_is_loaded():
     done = subprocess.run([sys.executable, "-c", EXTENSION], capture_output=True, text=True)
     assert (done.stdout.split(), done.stderr) == (["loaded", "interrupted"], "")

@@ -226,6 +226,8 @@ def _reported(args: argparse.Namespace) -> int:
         print(f"{type(error).__name__}: {visible(str(error), lines=True)}", file=sys.stderr)
         return error.exit_code
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # as Python 3.11 raises of __set_name__
+            raise error.__cause__ from None
         to_output = (
             isinstance(error, OSError) and error.errno in _OUTPUT_ERRORS and not error.filename
         )
