@@ -3,7 +3,7 @@
 Prints the tables of docs/sweeps.md. Times are those of one core; compared times are medians of
 interleaved repeats. Compare the ratios: the times depend on the machine.
 
-    python benchmarks/ensembles.py [bicycles] [outputs] [scalar] [memory] [fmu] [kills]
+    python benchmarks/ensembles.py [bicycles] [outputs] [scalar] [events] [memory] [fmu] [kills]
 """
 
 import os
@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 
+import casadi as ca
 import numpy as np
 
 import cosim
@@ -174,6 +175,74 @@ def scalar() -> None:
           f"{1e9 * pairs[0][1]:.0f} ns scalar; median ratio {ratio:.2f}")  # fmt: skip
 
 
+def bouncing_ball() -> tuple[cosim.Dae, str, tuple[float, float]]:
+    model = cosim.Model("ball", stop_time=2.0)
+    h = model.state("h", "m", 1.0, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    e = model.parameter("e", "1", 0.7, "restitution")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -e * v}, name="impact")
+    return model.freeze(), "e", (0.65, 0.9)
+
+
+def relay() -> tuple[cosim.Dae, str, tuple[float, float]]:
+    model = cosim.Model("relay", stop_time=5.0)
+    x = model.state("x", "m", 1.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    k = model.parameter("k", "m/s2", 1.0, "force per mass")
+    model.derivative(x, v)
+    sides = ca.if_else(x > 0.1, 1.0, ca.if_else(x < -0.1, -1.0, 0.0))
+    model.derivative(v, -k * sides - 0.1 * v)
+    return model.freeze(), "k", (0.5, 2.0)
+
+
+def sampled_controller() -> tuple[cosim.Dae, str, tuple[float, float]]:
+    model = cosim.Model("sampled", stop_time=5.0)
+    x = model.state("x", "m", 1.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    k = model.parameter("k", "1/s2", 2.0, "gain")
+    force = model.discrete("force", "m/s2", 0.0, "force per mass")
+    model.derivative(x, v)
+    model.derivative(v, force - x)
+    model.every(0.25, {force: -k * x - v})
+    return model.freeze(), "k", (0.5, 2.0)
+
+
+def dry_friction() -> tuple[cosim.Dae, str, tuple[float, float]]:
+    model = cosim.Model("stick_slip", stop_time=5.0)
+    x = model.state("x", "m", 0.0, "place")
+    v = model.state("v", "m/s", 0.0, "speed")
+    belt = model.parameter("belt", "m/s", 0.5, "speed of the belt")
+    slip = belt - v
+    model.derivative(x, v)
+    model.derivative(v, -10 * x + ca.sign(slip) * (1 + ca.exp(-4 * slip**2)))
+    return model.freeze(), "belt", (0.2, 1.0)
+
+
+def events() -> None:
+    """Print the cost of a run with events and two output times, of 1000 together and alone."""
+    print("| runs with events, dop853 | events of a run | simulate_many, ms | one simulate, ms |")
+    print("|---|---|---|---|")
+    for build in (bouncing_ball, relay, sampled_controller, dry_friction):
+        dae, name, ends = build()
+        stop = dae.experiment.stop_time
+        settings = {"solver": "dop853", "output_times": [stop / 2, stop]}
+        column = np.linspace(*ends, RUNS)
+        many = partial(cosim.simulate_many, dae, {name: column}, **settings)
+        single = partial(cosim.simulate, dae, **settings)
+        happened = np.mean([len(run.events) for run in many().with_events.values()])
+        together, alone = [], []
+        for _ in range(3):
+            together.append(1e3 * timed(many)[0] / RUNS)
+            times = [
+                timed(partial(single, start_values={name: value}))[0] for value in column[SOME]
+            ]
+            alone.append(1e3 * statistics.mean(times))
+        own, loop = statistics.median(together), statistics.median(alone)
+        print(f"| {dae.name} | {happened:.1f} | {own:.2f} | {loop:.2f} |")
+
+
 MEMORY = """
 import resource, sys
 import numpy as np, cosim
@@ -293,5 +362,13 @@ BICYCLE = cosim.load("bicycle")
 NAMES = [variable.name for variable in BICYCLE.states]
 
 if __name__ == "__main__":
-    for part in sys.argv[1:] or ["bicycles", "outputs", "scalar", "memory", "fmu", "kills"]:
+    for part in sys.argv[1:] or [
+        "bicycles",
+        "outputs",
+        "scalar",
+        "events",
+        "memory",
+        "fmu",
+        "kills",
+    ]:
         globals()[part]()

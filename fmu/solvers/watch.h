@@ -219,42 +219,49 @@ static inline void append(double **end, const double *values, int count) {
     *end += count;
 }
 
+/* Records what was before and after an instant; zero: relations whose arguments are 0 there. */
+static inline void record_event(Watch *self, const Point *before, const Point *after,
+                                const double *zero, const Happening *found) {
+    double *end = self->records, order[EVENTS + 1] = {0};
+    for (int k = 0; k < found->count; ++k) order[found->happened[k].rule] = 1 + k;
+    append(&end, &before->t, 1);
+    append(&end, before->x, NX);
+    append(&end, before->z, NZ);
+    append(&end, before->u + NU - MODES, MODES);
+    append(&end, after->x, NX);
+    append(&end, after->z, NZ);
+    append(&end, after->u + NU - MODES, MODES);
+    append(&end, zero, MODES);
+    append(&end, order, EVENTS);
+    self->records = end;
+}
+
 /* Goes through the event at a crossing: x becomes the state after it, and what was before and after
  * is recorded. Returns 0 where the run goes on from there; otherwise all is as before, and the
  * caller of the run has to go on: where relations slide, time events change, or the run ends. */
 static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
     Problem *problem = self->problem;
-    double *modes = problem->u + NU - MODES, before[MODES + 1], state[NX], z[NZ + 1];
+    double state[NX], z[NZ + 1], u[NU + 1], zero[MODES + 1];
     const bool later[MODES + 1] = {0};
     const Switching saved = *self->switching;
     const Point at = {crossing->time, x, problem->z, problem->u};
+    const Point before = {crossing->time, state, z, u};
     Happening found;
     bool replan;
     if (self->records == self->last_record) return 1;
-    memcpy(before, modes, sizeof before - sizeof *before);
     memcpy(state, x, sizeof state);
     memcpy(z, problem->z, NZ * sizeof *z);
+    memcpy(u, problem->u, NU * sizeof *u);
     happen(&self->laws, self->switching, &at, x, crossing->relation, later, NULL, &found, &replan);
     if (found.ending.reason != GOES_ON || replan || is_sliding(self->switching)) {
         *self->switching = saved;
-        memcpy(modes, before, sizeof before - sizeof *before);
         memcpy(x, state, sizeof state);
         memcpy(problem->z, z, NZ * sizeof *z);
+        memcpy(problem->u, u, NU * sizeof *u);
         return 1;
     }
-    double *end = self->records, order[EVENTS + 1] = {0}, zero[MODES + 1];
-    for (int k = 0; k < found.count; ++k) order[found.happened[k].rule] = 1 + k;
     for (int i = 0; i < MODES; ++i) zero[i] = found.zero[i];
-    append(&end, &crossing->time, 1);
-    append(&end, state, NX);
-    append(&end, z, NZ);
-    append(&end, before, MODES);
-    append(&end, x, NX);
-    append(&end, problem->z, NZ);
-    append(&end, modes, MODES);
-    append(&end, zero, MODES);
-    append(&end, order, EVENTS);
-    self->records = end;
+    record_event(self, &before, &at, zero, &found);
     return 0;
 }
 

@@ -22,7 +22,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
-from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
+from cosim.integrate.location import Passed, Piece, located, with_input_rates, with_slopes
 from cosim.integrate.modes import Instant, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
@@ -89,6 +89,24 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         solver,
         start.values.p,
     )
+
+
+def records_of(system: Hybrid, passed: Sequence[Passed], first: int = 0) -> list[EventRecord]:
+    """Return the events of instants, or the relations of the equations that switch there.
+
+    Args:
+        system: Frozen equations.
+        passed: The instants.
+        first: Position of the first of them in the run.
+    """
+    found = list[EventRecord]()
+    for place, (before, after, events, zero) in enumerate(passed, first):
+        names = [system.events[i].name for i in events]
+        if not names:
+            laws = (i for i in sorted(zero | before.switched(after)) if system.in_laws[i])
+            names = list(filter(None, [", ".join(map(system.described, laws))]))
+        found += [EventRecord(after.t, name, before.x, after.x, place) for name in names]
+    return found
 
 
 class _Course:
@@ -302,13 +320,12 @@ class _Course:
 
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before the last of them."""
-        done = 0
-        for before, after, which, zero in piece.passed:
-            self.at, done = after, done + 1
-            switched = () if which else zero | before.switched(after)
-            self._record([self.system.events[i].name for i in which], switched, before.x)
-            self.instants.append((before, after))
-        self._accept(piece, self.at.t, done)
+        passed = piece.passed
+        if passed:
+            self.events += records_of(self.system, passed, len(self.instants))
+            self.instants += [(instant.before, instant.after) for instant in passed]
+            self.at = passed[-1].after
+        self._accept(piece, self.at.t, len(passed))
 
     def _switch(self, at: Instant, crossing: frozenset[int], first: int = -1) -> None:
         """Let all happen that happens at an instant.
@@ -330,9 +347,9 @@ class _Course:
         else:
             happened = self.kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first)
             self.at = self.kernel.after(at)
-        names = [self.system.events[i].name for i in happened.events]
         switched = crossing | at.switched(self.at)
-        self._record(names, switched, at.x)
+        instant = Passed(at, self.at, happened.events, crossing)
+        self.events += records_of(self.system, [instant], len(self.instants))
         self.instants.append((at, self.at))
         self._end(happened.ending, switched)
         if happened.replan:
@@ -360,15 +377,6 @@ class _Course:
         switching = self.kernel.switching
         near = np.abs(switching.due - switching.next) <= 8 * np.spacing(abs(switching.next))
         return frozenset(np.flatnonzero(near).tolist())
-
-    def _record(self, happened: Sequence[str], switched: Iterable[int], before: Vector) -> None:
-        """Record the events of an instant, or the relations of the equations that switch there."""
-        if not happened:
-            laws = (i for i in sorted(switched) if self.system.in_laws[i])
-            happened = list(filter(None, [", ".join(map(self.system.described, laws))]))
-        for name in happened:
-            place = len(self.instants)
-            self.events.append(EventRecord(self.at.t, name, before, self.at.x, place))
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""

@@ -14,7 +14,14 @@ from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.integrate.outputs import derivatives_at
 from cosim.memo import cached_per_thread
-from cosim.model.growth import Closer, StatePath, growth_along, stays_suppressed, suppressed_growth
+from cosim.model.growth import (
+    Closer,
+    Growth,
+    StatePath,
+    growth_along,
+    stays_suppressed,
+    suppressed_growth,
+)
 from cosim.model.solver import AdaptiveSolver
 from cosim.model.values import own_sizes
 
@@ -30,14 +37,11 @@ def followed_growth(
         p: Parameters.
     """
     motion = run(None)
-    if motion.reason:
-        return motion
     relative, absolute = solver.tolerance.pair
-    sizes = own_sizes(motion.dae, motion.states[:, 0])
-    steps = motion.counts.steps or 0
-    growth = suppressed_growth(_path(motion, sizes, p), steps, relative, absolute)
+    growth = None if motion.reason else growth_in(motion, p, relative, absolute)
     if growth is None:
         return motion
+    sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
     closer = growth.closer(relative)
     followed = run(closer)
     if followed.reason == INTERRUPTED:
@@ -48,6 +52,12 @@ def followed_growth(
     )
     text = growth.note(closer, helps)
     return replace(found, note="; ".join(filter(None, (found.note, text))))
+
+
+def growth_in(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:
+    """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
+    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
+    return suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
 
 
 def _path(motion: Motion, sizes: Vector, p: Vector) -> StatePath:

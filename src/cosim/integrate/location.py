@@ -1,5 +1,6 @@
 """Where the relations of a hybrid model leave their modes along the motion of a solver."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import compress, count
@@ -63,6 +64,28 @@ class Passed(NamedTuple):
     zero: frozenset[int]
 
 
+def passed_events(events: NDArray[np.void], inputs: Sequence[Vector]) -> list[Passed]:
+    """Return events from their records.
+
+    Args:
+        events: The records; see `event_type`.
+        inputs: Inputs of the model, and their slopes, one row per event.
+    """
+    times = events["time"].tolist()
+
+    def instants(side: NDArray[np.void]) -> list[Instant]:
+        rows = zip(times, side["x"], side["z"], *inputs, side["modes"], strict=True)
+        return [Instant(t, x, z, u, du, modes) for t, x, z, u, du, modes in rows]
+
+    zeros = [frozenset(compress(count(), row)) for row in events["zero"].tolist()]
+    orders = [
+        [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)]
+        for order in events["order"].tolist()
+    ]
+    sides = instants(events["before"]), instants(events["after"])
+    return [Passed(*row) for row in zip(*sides, orders, zeros, strict=True)]
+
+
 class Piece:
     """A motion with fixed modes, from an instant over some times.
 
@@ -111,26 +134,12 @@ class Piece:
         self.reason = self.reached.reason
         self._rates = dict[int, Vector]()
         events = self.reached.events
-        self.passed = [] if events is None or not len(events) else self._passed(events)
+        self.passed = list[Passed]()
+        if events is not None and len(events):
+            self.passed = passed_events(events, self._own_inputs(events["time"]))
         if self.passed:
             self.begin = self.passed[-1].after
         self.u, _ = self._inputs(self.times)  # in the modes after these events
-
-    def _passed(self, events: NDArray[np.void]) -> list[Passed]:
-        """Return events from their records; see `event_type`."""
-        times, inputs = events["time"].tolist(), self._own_inputs(events["time"])
-
-        def instants(side: NDArray[np.void]) -> list[Instant]:
-            rows = zip(times, side["x"], side["z"], *inputs, side["modes"], strict=True)
-            return [Instant(t, x, z, u, du, modes) for t, x, z, u, du, modes in rows]
-
-        zeros = [frozenset(compress(count(), row)) for row in events["zero"].tolist()]
-        orders = [
-            [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)]
-            for order in events["order"].tolist()
-        ]
-        sides = instants(events["before"]), instants(events["after"])
-        return [Passed(*row) for row in zip(*sides, orders, zeros, strict=True)]
 
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
         u, _ = self._inputs(times[:1])

@@ -134,9 +134,9 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
         dae: The equations with the conditions of events; see `with_conditions`.
     """
     plain = attempt(grid, np.empty(0))
-    steps = min(max(plain.counts.steps or 0, 1), _MOST_STEPS)
+    steps = _counted(plain)
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
-    if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
+    if plain.reason or len(plain.time) < 2 or not has_terms(dae):
         return plain
     rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
     motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
@@ -173,6 +173,21 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
 
 
+def unquestioned(motion: Motion, p: Vector, dae: Dae) -> Motion | None:
+    """Return a complete motion as `attentive` does, if its rows show that all is seen; else None.
+
+    Args:
+        motion: The first motion that `attentive` looks at.
+        p, dae: See `attentive`.
+    """
+    if not has_terms(dae):
+        return motion
+    steps = _counted(motion)
+    if len(motion.time) < 2 * steps or _found(dae, motion, p, steps):
+        return None
+    return _with_note_on_unbounded(dae, motion)
+
+
 @cached_per_thread(16)
 def with_conditions(dae: Dae) -> Dae:
     """Return the frozen equations of a model, with the conditions of its events as limits."""
@@ -192,7 +207,12 @@ def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
 
 
-def _has_terms(dae: Dae) -> bool:
+def _counted(motion: Motion) -> int:
+    return min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
+
+
+def has_terms(dae: Dae) -> bool:
+    """Return whether a model has terms of time or a state, which steps may pass over."""
     return bool(_terms_of(dae)) or several_terms_of(dae) is not None
 
 
@@ -241,8 +261,8 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     """Return the motion of equal steps, with a note if a term changes within a part of one."""
     if len(motion.time) < 2 or motion.reason:
         return motion
-    steps = min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
-    found = _found(motion.dae, motion, p, steps) if _has_terms(motion.dae) else []
+    steps = _counted(motion)
+    found = _found(motion.dae, motion, p, steps) if has_terms(motion.dae) else []
     if not found:
         return motion
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from math import isfinite
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.initial_values import consistent_values, input_values
 from cosim.integrate.modes import hybrid
-from cosim.integrate.motion import EventRecord, Motion
+from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, Solved, all_columns, observe
 from cosim.integrate.preparation import Prepared, prepare
@@ -133,10 +134,9 @@ def _evaluated(
     return seen.table, n, reason, found
 
 
-def _both_sides(
-    prepared: Prepared, motion: Motion, p: Vector, events: Sequence[EventRecord]
-) -> Iterator[Event]:
+def _both_sides(prepared: Prepared, motion: Motion, p: Vector) -> Iterator[Event]:
     """Yield events with all that is recorded, and the states, before and after each."""
+    events = motion.events
     every = [side for pair in motion.instants for side in pair]
     x, z = (np.array(rows).T for rows in ([side.x for side in every], [side.z for side in every]))
     u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
@@ -221,10 +221,13 @@ def run(request: RunRequest) -> Trajectory:
         found = replace(found, stats=replace(found.stats, note=note))
     if request.policy.record_events:
         found = found.with_events()
-    if prepared.solver.adaptive:
-        ends = float(prepared.problem.grid[-1]), float(found.time[-1])
-        found = replace(found, again=partial(run_at, request, ends))
-    return found
+    return repeatable(found, request, prepared) if prepared.solver.adaptive else found
+
+
+def repeatable(found: Trajectory, request: RunRequest, prepared: Prepared) -> Trajectory:
+    """Return a run of an adaptive solver that can be computed at further times."""
+    ends = float(prepared.problem.grid[-1]), float(found.time[-1])
+    return replace(found, again=partial(run_at, request, ends))
 
 
 def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Trajectory:
@@ -243,26 +246,84 @@ def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Tra
     return replace(found, time=times, values=found.values[rows])
 
 
+class Recorded(NamedTuple):
+    """What a run recorded.
+
+    Attributes:
+        time: Output times, s, (n,).
+        table: Recorded values, SI, (n, columns).
+        status: How the run ended.
+        invalid: Where validity conditions or fixed steps are violated.
+        note: What differs from the request; None if nothing does.
+    """
+
+    time: Vector
+    table: Vector
+    status: str
+    invalid: Sequence[Breach]
+    note: str | None
+
+
 def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     """Run once, without a fallback."""
-    began, compiling = perf_counter(), time_compiling()
-    problem, values = prepared.problem, request.numbers
-    dae = problem.dae
-    with doing(dae.full_name):
+    began, compiling, values = perf_counter(), time_compiling(), request.numbers
+    name = prepared.problem.dae.full_name
+    with doing(name):
         motion, coarse = _integrated(prepared, values)
-        table, n, reason, invalid = _evaluated(prepared, motion, values.p, coarse)
-        events, stop = motion.events, motion.stop
-        if n < motion.states.shape[1]:  # what happened after the last good row is not a result
-            events, stop = [e for e in events if n and e.time <= motion.time[n - 1]], ""
-        sides = tuple(_both_sides(prepared, motion, values.p, events)) if events else ()
+        motion, recorded, reason = evaluated(prepared, motion, values.p, coarse)
+        times = perf_counter() - began, time_compiling() - compiling
+        found = trajectory_of(prepared, motion, recorded, values, times)
+    if reason == INTERRUPTED:
+        raise Interrupted(f"{name}: {found.status}", found)
+    if reason:
+        raise _failure(prepared, reason, found)
+    return found
+
+
+def evaluated(
+    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach] = ()
+) -> tuple[Motion, Recorded, Ending]:
+    """Return a motion up to its last good row, what it recorded, and why it stopped early.
+
+    Args:
+        prepared: The plan of the run.
+        motion: Its motion.
+        p: Parameters.
+        coarse: Where fixed steps are too long for it.
+    """
+    table, n, reason, invalid = _evaluated(prepared, motion, p, coarse)
+    if n < motion.states.shape[1]:  # what happened after the last good row is not a result
+        events = [e for e in motion.events if n and e.time <= motion.time[n - 1]]
+        motion = replace(motion, events=events, stop="")
     rows: slice | NDArray[np.intp] = slice(0, n)
-    last = n - 1 if stop else n
-    if prepared.rows is not None or not np.array_equal(motion.time[:last], problem.grid[:last]):
-        grid = problem.grid if prepared.rows is None else problem.grid[prepared.rows]
+    last, grid = n - 1 if motion.stop else n, prepared.problem.grid
+    if prepared.rows is not None or not np.array_equal(motion.time[:last], grid[:last]):
+        grid = grid if prepared.rows is None else grid[prepared.rows]
         recorded = np.flatnonzero(np.isin(motion.time[:n], grid))
-        rows = np.union1d(recorded, [n - 1]) if stop else recorded
+        rows = np.union1d(recorded, [n - 1]) if motion.stop else recorded
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
+    status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
+    return motion, Recorded(time, table, status, invalid, _note(prepared, motion)), reason
+
+
+def trajectory_of(
+    prepared: Prepared,
+    motion: Motion,
+    recorded: Recorded,
+    values: Values,
+    times: tuple[float, float],
+) -> Trajectory:
+    """Return the result of a run.
+
+    Args:
+        prepared: The plan of the run.
+        motion: Its motion, whose columns are not needed.
+        recorded: What it recorded.
+        values: Parameters, and inputs.
+        times: That it took, and compilation as a part of that, s.
+    """
+    dae, stop, invalid = prepared.problem.dae, motion.stop, recorded.invalid
     stats = RunStats(
         solver=prepared.solver.name,
         relative_tolerance=getattr(prepared.solver, "relative_tolerance", None),
@@ -271,33 +332,27 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
         steps=motion.counts.steps,
         rhs_calls=motion.counts.rhs_calls,
         jacobian_calls=motion.counts.jacobian_calls,
-        compiled=problem.compiled,
-        wall_time=perf_counter() - began,
-        compile_time=time_compiling() - compiling or None,
+        compiled=prepared.problem.compiled,
+        wall_time=times[0],
+        compile_time=times[1] or None,
         invalid=tuple(breach.reason for breach in invalid),
-        note=_note(prepared, motion),
+        note=recorded.note,
         invalid_from=invalid[0].reason.time if invalid else None,
-        stop=f"{stop} from {time[-1]:.12g} s on" if stop else None,
-        stop_time=float(time[-1]) if stop else None,
+        stop=f"{stop} from {recorded.time[-1]:.12g} s on" if stop else None,
+        stop_time=float(recorded.time[-1]) if stop else None,
     )
-    status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
     numbers, drawing = _numbers(dae, values.p.tobytes(), values.u.tobytes())
-    found = Trajectory(
+    return Trajectory(
         dae.full_name,
-        time,
+        recorded.time,
         prepared.columns,
-        table,
+        recorded.table,
         stats,
-        status,
+        recorded.status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=sides,
+        events=tuple(_both_sides(prepared, motion, values.p)) if motion.events else (),
     )
-    if reason == INTERRUPTED:
-        raise Interrupted(f"{dae.full_name}: {status}", found)
-    if reason:
-        raise _failure(prepared, reason, found)
-    return found
 
 
 def _note(prepared: Prepared, motion: Motion) -> str | None:

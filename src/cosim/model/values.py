@@ -255,12 +255,17 @@ def own_sizes(dae: Dae, x0: Vector) -> Vector:
     They are those of the model; a small initial value is its own one where the model sets none,
     unless it is so small that it may be a rounding error of another one.
     """
-    exact = (v.nominal == NOT_GIVEN and v.start_kind is Start.EXACT for v in dae.states)
-    free = np.fromiter(exact, dtype=bool)
+    free, declared = _declared_sizes(dae)
     size = np.abs(x0)
     rounding = ROUNDING_OF_OTHERS * size.max(axis=-1, keepdims=True, initial=0.0)
-    declared = np.array([v.nominal for v in dae.states])
     return np.where(free & (rounding < size) & (size < _SMALL), size, declared)
+
+
+@cached_per_thread(16)
+def _declared_sizes(dae: Dae) -> tuple[Truths, Vector]:
+    """Return which states have no nominal value of their own, and the nominal values, (nx,)."""
+    exact = (v.nominal == NOT_GIVEN and v.start_kind is Start.EXACT for v in dae.states)
+    return np.fromiter(exact, dtype=bool), np.array([v.nominal for v in dae.states])
 
 
 @cached_per_thread(64)

@@ -249,6 +249,8 @@ def uncontrolled(
 def _least_of_troughs(values: Vector, limit: float) -> float | None:
     """Return the least size of a state that falls below a limit and grows again in its sign."""
     low = np.abs(values) < limit
+    if not low.any():
+        return None
     begins, ends = (np.flatnonzero(np.diff(low.astype(int)) == step) for step in (1, -1))
     least = [
         float(np.abs(values[begin : end + 2]).min())

@@ -138,8 +138,9 @@ def _solver_text(
     own = ["rhs", *(name if function else "NULL" for name, function in others.items())]
     works = (name if name == "NULL" else f"{name}_work" for name in own)
     calls = ", ".join((*own, *works, f"integrate_{method.steps}"))
+    blocks = ["block.h"] if watch and method.steps == "adaptive" else []
     parts = (
-        solver_source(f"{method.steps}.h", "external.h"),
+        solver_source(f"{method.steps}.h", "external.h", *blocks),
         laws.tables,
         method.coefficients,
         f"static const Solver solver = {{{calls}}};\n",

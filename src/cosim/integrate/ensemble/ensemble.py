@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,67 @@ class RunState(StrEnum):
     REFUSED = "refused"  # its values, or initial values that follow from them, are not possible
     INTERRUPTED = "interrupted"  # by Ctrl-C
     LOST = "lost"  # its process ended before it returned the run
+
+
+class Row(NamedTuple):
+    """A run as a row of an ensemble.
+
+    Attributes:
+        values: At the output times that all runs share, SI, (n, columns).
+        steps, rhs_calls: Numbers of its steps and of calls of the equations.
+        invalid: The first violation of a validity condition; None if there is none.
+        note: What it differs in from the request; None if in nothing.
+        run: It, or what makes it, if it has events; else None.
+    """
+
+    values: Vector
+    steps: int
+    rhs_calls: int
+    invalid: str | None
+    note: str | None
+    run: Trajectory | Callable[[], Trajectory] | None
+
+    @classmethod
+    def of(cls, run: Trajectory, time: Vector) -> Row:
+        """Return a run, which may have ended early, as a row over output times, s."""
+        stats, with_events = run.stats, bool(run.events) or "stop" in run.stats
+        return cls(
+            run.values[: shared_rows(run, time)],
+            stats.get("steps", 0),
+            stats.get("rhs_calls", 0),
+            stats["invalid"][0] if "invalid" in stats else None,
+            stats.get("note"),
+            run if with_events else None,
+        )
+
+
+class LazyRuns(Mapping[int, Trajectory]):
+    """Trajectories by position, some of which are made when they are needed.
+
+    Args:
+        runs: Trajectories, or what makes them.
+    """
+
+    def __init__(self, runs: dict[int, Trajectory | Callable[[], Trajectory]]) -> None:
+        self._runs = runs
+
+    def __getitem__(self, position: int) -> Trajectory:
+        run = self._runs[position]
+        if not isinstance(run, Trajectory):
+            self._runs[position] = run = run()
+        return run
+
+    def __reduce__(self) -> tuple[type[LazyRuns], tuple[dict[int, Trajectory]]]:
+        return LazyRuns, (dict(self),)
+
+    def __contains__(self, position: object) -> bool:
+        return position in self._runs
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._runs)
+
+    def __len__(self) -> int:
+        return len(self._runs)
 
 
 @naming_arguments_of

@@ -23,7 +23,8 @@ from cosim.errors import (
     SolverError,
     UsageError,
 )
-from cosim.integrate.ensemble.ensemble import Ensemble, RunState, shared_rows
+from cosim.integrate.ensemble.ensemble import Ensemble, LazyRuns, Row, RunState
+from cosim.integrate.ensemble.event_blocks import EventBlocks, event_blocks
 from cosim.integrate.ensemble.lanes import in_lanes, processors
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.keywords import SharedKeywords, requested
@@ -188,6 +189,7 @@ def _one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
         lambda given: run(replace(request, values=given)),
         values.refused,
         stops=request.policy.on_invalid is OnInvalid.STOP,
+        blocks=event_blocks(request, values),
     )
 
 
@@ -201,6 +203,7 @@ def one_by_one(
     refused: Mapping[int, str],
     *,
     stops: bool,
+    blocks: EventBlocks | None = None,
 ) -> Ensemble:
     """Simulate every run, whatever becomes of the others.
 
@@ -213,12 +216,12 @@ def one_by_one(
         simulate: Simulates with values by name.
         refused: Why runs are not possible, by position.
         stops: Whether a run ends when a validity condition is violated.
+        blocks: Runs that are computed together; None if there are none.
     """
     interrupted = False
     table = np.full((runs, len(time), len(columns)), np.nan)
-    states, reasons, invalid = [RunState.INTERRUPTED] * runs, dict[int, str](), dict[int, str]()
-    counts, with_events = np.zeros((3, runs), dtype=np.int64), dict[int, Trajectory]()
-    notes = dict[int, str]()
+    states, reasons = [RunState.INTERRUPTED] * runs, dict[int, str]()
+    counts, done = np.zeros((3, runs), dtype=np.int64), dict[int, Row]()
     for number in range(runs):
         reasons[number] = "interrupted"
         if interrupted:
@@ -227,7 +230,10 @@ def one_by_one(
             states[number], reasons[number] = RunState.REFUSED, refused[number]
             continue
         try:
-            found = simulate({name: float(column[number]) for name, column in given.items()})
+            row = blocks.take(number) if blocks else None
+            if row is None:
+                found = simulate({name: float(column[number]) for name, column in given.items()})
+                row = Row.of(found, time)
             states[number] = RunState.COMPLETE
             del reasons[number]
         except SolverError as error:
@@ -235,25 +241,23 @@ def one_by_one(
             if error.partial is None:
                 continue
             found = cast(Trajectory, error.partial)
-            reasons[number] = found.status
-            if stops and "invalid" in found.stats:
+            row, reasons[number] = Row.of(found, time), found.status
+            if stops and row.invalid:
                 states[number] = RunState.STOPPED
-        except Interrupted as error:
-            found, interrupted = cast(Trajectory, error.partial), True
+        except KeyboardInterrupt as error:
+            interrupted = True
+            if not isinstance(error, Interrupted) or error.partial is None:
+                continue
+            row = Row.of(cast(Trajectory, error.partial), time)
         except (FmuError, ParameterError, InitialConditionError) as error:
             failed = isinstance(error, FmuError)
             states[number] = RunState.FAILED if failed else RunState.REFUSED
             reasons[number] = str(error)
             continue
-        n = shared_rows(found, time)
-        table[number, :n] = found.values[:n]
-        if found.events or "stop" in found.stats:
-            with_events[number] = found
-        counts[:, number] = (n, *(found.stats.get(k, 0) for k in ("steps", "rhs_calls")))
-        if "invalid" in found.stats:
-            invalid[number] = found.stats["invalid"][0]
-        if found.stats.get("note"):
-            notes[number] = found.stats["note"]
+        n = len(row.values)
+        table[number, :n] = row.values
+        counts[:, number] = n, row.steps, row.rhs_calls
+        done[number] = row._replace(values=table[number, :n])
     return Ensemble(
         model,
         time,
@@ -262,11 +266,11 @@ def one_by_one(
         given,
         tuple(states),
         reasons,
-        invalid,
+        {i: row.invalid for i, row in done.items() if row.invalid},
         reached=counts[0],
         steps=counts[1],
         rhs_calls=counts[2],
         error=np.full(runs, np.nan),
-        notes=notes,
-        with_events=with_events,
+        notes={i: row.note for i, row in done.items() if row.note},
+        with_events=LazyRuns({i: row.run for i, row in done.items() if row.run is not None}),
     )

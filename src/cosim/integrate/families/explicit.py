@@ -37,7 +37,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
 
-_ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
+ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +122,19 @@ def _compiled(
     return explicit_library(rhs, name, method, projection, events), constants
 
 
+def block_library(own: Hybrid) -> tuple[ctypes.CDLL, ca.Function]:
+    """Return the library of `dop853` that goes through all events of a model, for block.h.
+
+    Args:
+        own: The frozen equations.
+
+    Returns:
+        It, and from the model's parameters to the constants of its equations.
+    """
+    path, constants = _compiled(own.dae, None, False, Dop853.name, dop853_method(), own)
+    return ctypes.CDLL(path), constants
+
+
 def _events(system: Hybrid, inputs: InputSeries | None, constants: int) -> WatchText:
     """Return what looks at relations, and goes through events, with inputs from a series."""
     dae = system.dae
@@ -161,7 +174,7 @@ class DirectCall:
         self._events = None
         if system is not None:
             record = event_type(system)
-            room = 1 + _ROOM_FOR_EVENTS // record.itemsize
+            room = 1 + ROOM_FOR_EVENTS // record.itemsize
             # others need what only the caller knows
             self._events = np.empty(0 if system.sliding or system.dae.derived else room, record)
         library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong

@@ -1,0 +1,244 @@
+"""Runs of a model with events in blocks: one call of compiled code for many runs.
+
+The code goes through all that is usual: the start, events, time events. Any other run (a relation
+slides, an event ends it, it fails) is left to `run`, which also computes the same bits for the
+others.
+"""
+
+import ctypes
+from dataclasses import replace
+from functools import partial
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.single_terms import time_terms
+from cosim.arrays import Truths, Vector
+from cosim.codegen.c_fields import fields
+from cosim.codegen.runge_kutta.explicit_library import work_space
+from cosim.errors import InitialConditionError
+from cosim.host.progress import doing
+from cosim.host.signals import interrupt_noticed, interruptible
+from cosim.integrate.engine import Counts, event_type
+from cosim.integrate.ensemble.ensemble import Row
+from cosim.integrate.ensemble.lanes import nominal_sizes
+from cosim.integrate.events import records_of
+from cosim.integrate.families.explicit import ROOM_FOR_EVENTS, Dop853, block_library
+from cosim.integrate.growth import growth_in
+from cosim.integrate.initial_values import consistent_values
+from cosim.integrate.location import Passed, passed_events
+from cosim.integrate.modes import hybrid, sliding
+from cosim.integrate.motion import Motion
+from cosim.integrate.passed_over import unquestioned, with_conditions
+from cosim.integrate.preparation import Prepared, prepare
+from cosim.integrate.run import Recorded, evaluated, repeatable, trajectory_of
+from cosim.model.many_values import ManyValues
+from cosim.model.request import RunRequest
+from cosim.model.values import Values, own_sizes
+from cosim.trajectory import Trajectory
+
+_NUMBERS = 500_000  # of the rows of a block
+_MOST_TIMES = 10_000  # of a run; so many more are integrated in windows
+_COMPLETE, _NOT_BEGUN = 1, 2  # codes of fmu/solvers/block.h
+
+
+class _Block(ctypes.Structure):
+    """`Block` of fmu/solvers/block.h."""
+
+    _fields_ = fields("solvers/block.h", "Block")
+
+
+def event_blocks(request: RunRequest, values: ManyValues) -> "EventBlocks | None":
+    """Return the runs of a request in blocks; None if these cannot be so.
+
+    Raises:
+        UsageError, ParameterError, MissingTool: See `prepare`.
+    """
+    prepared = prepare(request)
+    problem, system = prepared.problem, hybrid(prepared.problem.dae)
+    given_otherwise = {rule.variable.name for rule in problem.dae.start_outputs} & {*values.given}
+    if (
+        system is None
+        or not isinstance(prepared.inner, Dop853)
+        or not problem.compiled
+        or problem.project
+        or problem.inputs is not None
+        or request.policy.record_events
+        or given_otherwise
+        or not 2 <= len(problem.grid) <= _MOST_TIMES
+        or not problem.dae.states
+        or problem.dae.derived
+        or time_terms(system.dae).numel()
+    ):
+        return None
+    return EventBlocks(request, prepared, prepared.inner, system, values)
+
+
+def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Truths]:
+    """Return initial states and unknowns of some runs, and which runs have them."""
+    dae, t = prepared.problem.dae, float(prepared.problem.grid[0])
+    x, z = values.x.copy(), np.empty((len(values), len(dae.algebraics)))
+    if not (dae.start_rules or dae.algebraics):
+        low, high = ([getattr(v, end) for v in dae.states] for end in ("minimum", "maximum"))
+        return x, z, np.asarray(((x >= low) & (x <= high)).all(axis=1))
+    begins = np.ones(len(values), dtype=bool)
+    for run in range(len(values)):
+        try:
+            own = Values(values.x[run], values.p[run], values.u[run])
+            x[run], z[run] = consistent_values(dae, t, own)
+        except InitialConditionError:
+            begins[run] = False
+    return x, z, begins
+
+
+class EventBlocks:
+    """Runs of a model with events, by position, computed a block at a time.
+
+    Args:
+        request: The request of all runs; its values are ignored.
+        prepared: Its plan.
+        solver: The solver of that.
+        system: The frozen equations.
+        values: The values of each run.
+    """
+
+    def __init__(
+        self,
+        request: RunRequest,
+        prepared: Prepared,
+        solver: Dop853,
+        system: Hybrid,
+        values: ManyValues,
+    ) -> None:
+        self._request = request
+        self._prepared = prepared
+        self._solver = solver
+        self._tolerance = solver.tolerance.pair
+        self._system = system
+        self._values = values
+        self._in_laws = np.array(system.in_laws, dtype=bool)
+        self._library, self._constants = block_library(sliding(system, frozenset()))
+        self._work = work_space(self._library)
+        dae, n = system.dae, len(prepared.problem.grid)
+        per_run = n * (dae.x.numel() + dae.z.numel() + dae.u.numel())
+        self._size = max(1, _NUMBERS // per_run)
+        record = event_type(system)
+        self._records = np.empty(1 + ROOM_FOR_EVENTS // record.itemsize, record)
+        self._next = 0  # the first run that no block holds yet
+        self._interrupted = False
+        self._ready = dict[int, Row]()
+
+    def take(self, position: int) -> Row | None:
+        """Return a run; None if it is left to `run`. Runs are taken in their order.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C, before this run was complete.
+        """
+        while position >= self._next and not self._interrupted:
+            self._ready.clear()
+            self._compute(position)
+        if position >= self._next:
+            interrupt_noticed()
+            raise KeyboardInterrupt
+        return self._ready.pop(position, None)
+
+    def _compute(self, first: int) -> None:
+        """Compute a block of runs, from the first one on."""
+        self._next = min(first + self._size, len(self._values))
+        possible = [i for i in range(first, self._next) if i not in self._values.refused]
+        some = self._values.select(np.array(possible, dtype=np.int64))
+        x, z, begins = _starts(self._prepared, some)
+        going = np.array(possible)[begins].tolist()
+        if not going:
+            return
+        x, z, u, p = (table[begins] for table in (x, z, some.u, some.p))
+        began = perf_counter()
+        rows, report = self._call(x, z, u, p)
+        done = np.flatnonzero(report[:, 0] != _NOT_BEGUN)
+        if len(done) < len(going) or self._interrupted:
+            self._next = going[min(len(done), len(going) - 1)]
+        time = (perf_counter() - began) / max(1, len(done))
+        ends = report[:, 3].astype(int).cumsum()
+        dae, grid = self._system.dae, self._prepared.problem.grid
+        for k in np.flatnonzero(report[: len(done), 0] == _COMPLETE).tolist():
+            counts = Counts(int(report[k, 1]), int(report[k, 2]), 0)
+            states, unknowns, inputs = (table[k].T for table in rows)
+            motion = Motion(dae, grid, states, unknowns, inputs, counts, solve_time=time)
+            events = self._records[ends[k] - int(report[k, 3]) : ends[k]]
+            found = self._finished(going[k], motion, Values(x[k], p[k], u[k]), events)
+            if found is not None:
+                self._ready[going[k]] = found
+
+    def _call(self, x: Vector, z: Vector, u: Vector, p: Vector) -> tuple[list[Vector], Vector]:
+        """Return states, unknowns and inputs, (runs, times, ...), and the report of each run."""
+        system, solver, grid = self._system, self._solver, self._prepared.problem.grid
+        dae, runs, n = self._prepared.problem.dae, len(x), len(grid)
+        constants = np.ascontiguousarray(np.array(self._constants(p.T)).T)
+        modes = np.ones((runs, len(system.relations)))
+        sizes = x.shape[1], z.shape[1], system.dae.u.numel()
+        rows: list[Vector] = [np.empty((runs, n, size)) for size in sizes]
+        report = np.full((runs, 4), float(_NOT_BEGUN))
+        constant = np.isin(np.arange(x.shape[1]), system.constant).astype(float)
+        given = (x, z, np.hstack((u, modes)), constants, nominal_sizes(dae, x, solver.tolerance))
+        work = np.empty((n + 1) * (1 + x.shape[1] + z.shape[1]))
+        arrays = (grid, constant, *given, own_sizes(dae, x), *rows, self._records, report, work)
+        block = _Block(
+            *(runs, n, len(self._records), bool(system.of_states)),
+            *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
+            *(array.ctypes.data for array in arrays),
+        )
+        done = partial(self._share, report)
+        with interruptible(self._library) as interrupts, doing("runs with events", done):
+            self._library.cosim_block(ctypes.byref(block), *self._work)
+        self._interrupted = bool(interrupts)
+        return rows, report
+
+    def _share(self, report: Vector) -> float:
+        """Return which part of a block is done."""
+        return float((report[:, 0] != _NOT_BEGUN).mean())
+
+    def _finished(
+        self, run: int, motion: Motion, values: Values, events: NDArray[np.void]
+    ) -> Row | None:
+        """Return a run from its motion and its instants; None if it is left to `run`."""
+        known = unquestioned(motion, values.p, with_conditions(self._prepared.problem.dae))
+        if known is None or growth_in(known, values.p, *self._tolerance) is not None:
+            return None
+        motion, recorded, reason = evaluated(self._prepared, known, values.p)
+        if reason:
+            return None
+        none = np.empty((0, 0))  # results of many runs hold the motion, but not its columns
+        short = replace(motion, time=none, states=none, algebraics=none, u=none)
+        make = partial(self._trajectory, run, short, recorded, values, events.copy())
+        switched = (events["before"]["modes"] != events["after"]["modes"]) | (events["zero"] > 0)
+        happened = events["order"].any() or switched[:, self._in_laws].any()
+        return Row(
+            recorded.table,
+            motion.counts.steps or 0,
+            motion.counts.rhs_calls or 0,
+            recorded.invalid[0].reason if recorded.invalid else None,
+            recorded.note,
+            make if happened else None,
+        )
+
+    def _passed(self, values: Values, events: NDArray[np.void]) -> list[Passed]:
+        inputs = np.tile(values.u, (len(events), 1))
+        return passed_events(events, (inputs, np.zeros_like(inputs)))
+
+    def _trajectory(
+        self,
+        run: int,
+        motion: Motion,
+        recorded: Recorded,
+        values: Values,
+        events: NDArray[np.void],
+    ) -> Trajectory:
+        passed = self._passed(values, events)
+        instants = [(instant.before, instant.after) for instant in passed]
+        motion = replace(motion, events=records_of(self._system, passed), instants=instants)
+        times = motion.solve_time or 0.0, 0.0
+        found = trajectory_of(self._prepared, motion, recorded, values, times)
+        own = {name: float(column[run]) for name, column in self._values.given.items()}
+        return repeatable(found, replace(self._request, values=own), self._prepared)
