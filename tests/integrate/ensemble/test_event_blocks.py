@@ -65,13 +65,13 @@ def expect_the_bits_of_single_runs(dae: Dae, columns: dict, **options) -> None:
 
 
 def wall() -> Dae:
-    """Return a pendulum that meets a wall; its sine is a term that steps might pass over."""
+    """Return a pendulum that meets a wall; its sines are terms that steps might pass over."""
     model = Model("wall", stop_time=3.0)
     q = model.state("q", "rad", 1.0, "angle")
     w = model.state("w", "rad/s", 0.0, "rate")
     e = model.parameter("e", "1", 0.7, "restitution")
     model.derivative(q, w)
-    model.derivative(w, -9.81 * ca.sin(q) - 0.05 * w)
+    model.derivative(w, -9.81 * ca.sin(q) - 0.05 * w + ca.sin(2 * model.t))
     model.when(q < -0.3, {w: -e * w}, name="impact")
     model.limit(1.2 - q, "small angle")
     return model.freeze()
