@@ -14,6 +14,7 @@ import casadi as ca
 from casadi import DM, SX
 
 from casadi_models.dae import Model
+from casadi_models.dae.expressions import column
 from casadi_models.mechanics import conditions, kane
 from casadi_models.mechanics.slopes import determined, first_repeating
 
@@ -230,20 +231,12 @@ def _with_multipliers(
     model, q, g, moving = parts.model, parts.q, parts.g, parts.moving
     speeds = _speed_states(parts, range(len(parts.names)))
     sizes = [variable.nominal for variable in model.declared(speeds)]
-    unknown = ca.vertcat(
-        SX(0, 1),
-        *(
-            model.algebraic(
-                f"{parts.names[i]}_dot_dot", *_rate(parts, i, 2), nominal=10.0 * sizes[i]
-            )
-            for i in moving
-        ),
+    unknown = column(
+        model.algebraic(f"{parts.names[i]}_dot_dot", *_rate(parts, i, 2), nominal=10.0 * sizes[i])
+        for i in moving
     )
-    loop_loads = ca.vertcat(
-        *(
-            model.algebraic(f"load_{name}", "1", 0.0, f"load of loop {name}")
-            for name in _rows(loops)
-        )
+    loop_loads = column(
+        model.algebraic(f"load_{name}", "1", 0.0, f"load of loop {name}") for name in _rows(loops)
     )
     velocity = ca.jtimes(g, q, speeds) + parts.moved
     inertias, loads = _in_states(parts, speeds)
@@ -314,15 +307,10 @@ def _rate(parts: _Parts, i: int, order: int) -> tuple[str, float, str]:
 
 
 def _speed_states(parts: _Parts, which: Sequence[int]) -> SX:
-    variables = parts.model.declared(parts.q)
-    return ca.vertcat(
-        SX(0, 1),
-        *(
-            parts.model.state(
-                f"{parts.names[i]}_dot", *_rate(parts, i, 1), nominal=variables[i].nominal
-            )
-            for i in which
-        ),
+    sizes = [variable.nominal for variable in parts.model.declared(parts.q)]
+    return column(
+        parts.model.state(f"{parts.names[i]}_dot", *_rate(parts, i, 1), nominal=sizes[i])
+        for i in which
     )
 
 

@@ -48,19 +48,17 @@ void fmi2FreeInstance(fmi2Component c) {
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_SET_DEBUG_LOGGING, __func__)) return fmi2Error;
-    return fmi2_status(choose_categories(self, loggingOn, nCategories, categories));
+    return ANSWERED(c, IN_SET_DEBUG_LOGGING,
+                    choose_categories(c, loggingOn, nCategories, categories));
 }
 
 /* -- initialization, termination, reset ------------------------------------------------------- */
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
                                fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
-    Instance *self = c;
-    if (!allowed(self, IN_SETUP_EXPERIMENT, __func__)) return fmi2Error;
-    return fmi2_status(set_up(self, toleranceDefined ? &tolerance : NULL, startTime,
-                              stopTimeDefined ? &stopTime : NULL));
+    return ANSWERED(c, IN_SETUP_EXPERIMENT,
+                    set_up(c, toleranceDefined ? &tolerance : NULL, startTime,
+                           stopTimeDefined ? &stopTime : NULL));
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
@@ -73,53 +71,49 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    Instance *self = c;
-    if (!allowed(self, IN_EXIT_INITIALIZATION_MODE, __func__)) return fmi2Error;
-    return fmi2_status(finish_initialization(self));
+    return ANSWERED(c, IN_EXIT_INITIALIZATION_MODE, finish_initialization(c));
 }
 
 fmi2Status fmi2Terminate(fmi2Component c) {
-    Instance *self = c;
-    if (!allowed(self, IN_TERMINATE, __func__)) return fmi2Error;
-    self->state.mode = TERMINATED;
-    return fmi2OK;
+    return ANSWERED(c, IN_TERMINATE, enter(c, TERMINATED));
 }
 
 fmi2Status fmi2Reset(fmi2Component c) {
-    Instance *self = c;
-    if (!allowed(self, IN_RESET, __func__)) return fmi2Error;
-    reset(self);
+    if (!allowed(c, IN_RESET, __func__)) return fmi2Error;
+    reset(c);
     return fmi2OK;
 }
 
-/* -- variables: all are Real, but for `valid`
- * ------------------------------------------------------------------ */
+/* -- variables: all are Real, but for `valid` -------------------------------------------------- */
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        fmi2Real value[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_VALUES, __func__)) return fmi2Error;
-    return fmi2_status(get_values(self, vr, nvr, value));
+    return ANSWERED(c, IN_GET_VALUES, get_values(c, vr, nvr, value));
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                        const fmi2Real value[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_SET_REAL, __func__)) return fmi2Error;
-    return fmi2_status(set_values(self, vr, nvr, value));
+    return ANSWERED(c, IN_SET_REAL, set_values(c, vr, nvr, value));
 }
 
-static fmi2Status no_variables(Instance *self, unsigned modes, const char *function, size_t nvr) {
-    if (!allowed(self, modes, function)) return fmi2Error;
-    if (nvr == 0) return fmi2OK;
-    return fmi2_status(refuse(self, ERROR, "the model has no variable of this type"));
-}
+#define NOT_READ_OF(TYPE)                                                                          \
+    fmi2Status fmi2Get##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
+                             fmi2##TYPE value[]) {                                                 \
+        (void)vr, (void)value;                                                                     \
+        return ANSWERED(c, IN_GET_VALUES, no_variables(c, nvr));                                   \
+    }
+#define NOT_SET_OF(TYPE)                                                                           \
+    fmi2Status fmi2Set##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
+                             const fmi2##TYPE value[]) {                                           \
+        (void)vr, (void)value;                                                                     \
+        return ANSWERED(c, IN_SET_DISCRETE, no_variables(c, nvr));                                 \
+    }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          fmi2Integer value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_GET_VALUES, __func__, nvr);
-}
+NOT_READ_OF(Integer)
+NOT_READ_OF(String)
+NOT_SET_OF(Integer)
+NOT_SET_OF(String)
+NOT_SET_OF(Boolean)
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                           fmi2Boolean value[]) {
@@ -133,78 +127,40 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2_status(status);
 }
 
-fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                         fmi2String value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_GET_VALUES, __func__, nvr);
-}
-
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Integer value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_SET_DISCRETE, __func__, nvr);
-}
-
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                          const fmi2Boolean value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_SET_DISCRETE, __func__, nvr);
-}
-
-fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                         const fmi2String value[]) {
-    (void)vr, (void)value;
-    return no_variables(c, IN_SET_DISCRETE, __func__, nvr);
-}
-
 /* -- derivatives with respect to variables ---------------------------------------------------- */
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[],
                                         size_t nUnknown, const fmi2ValueReference vKnown_ref[],
                                         size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_DIRECTIONAL_DERIVATIVE, __func__)) return fmi2Error;
-    return fmi2_status(
-        directional(self, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown, dvUnknown));
+    return ANSWERED(c, IN_GET_DIRECTIONAL_DERIVATIVE,
+                    directional(c, vUnknown_ref, nUnknown, vKnown_ref, nKnown, dvKnown, dvUnknown));
 }
 
 /* -- the FMU state ---------------------------------------------------------------------------- */
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(take_snapshot(self, FMUstate));
+    return ANSWERED(c, IN_FMU_STATE, take_snapshot(c, FMUstate));
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(restore_snapshot(self, FMUstate));
+    return ANSWERED(c, IN_FMU_STATE, restore_snapshot(c, FMUstate));
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(release_snapshot(self, FMUstate));
+    return ANSWERED(c, IN_FMU_STATE, release_snapshot(c, FMUstate));
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(snapshot_size(self, FMUstate, size));
+    return ANSWERED(c, IN_FMU_STATE, snapshot_size(c, FMUstate, size));
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[],
                                  size_t size) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(serialize(self, FMUstate, serializedState, size));
+    return ANSWERED(c, IN_FMU_STATE, serialize(c, FMUstate, serializedState, size));
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
                                    fmi2FMUstate *FMUstate) {
-    Instance *self = c;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi2Error;
-    return fmi2_status(deserialize(self, serializedState, size, FMUstate));
+    return ANSWERED(c, IN_FMU_STATE, deserialize(c, serializedState, size, FMUstate));
 }

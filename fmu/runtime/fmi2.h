@@ -24,6 +24,10 @@ static inline fmi2Status fmi2_status(Status status) {
     return (fmi2Status)status;
 }
 
+/* What a function of the FMI returns: an error where it is not allowed, or else an answer. */
+#define ANSWERED(instance, modes, answer)                                                          \
+    (allowed(instance, modes, __func__) ? fmi2_status(answer) : fmi2Error)
+
 /* In which states of the FMI 2.0.4 state machines each function is allowed: the tables of 3.2.3
    (model exchange) and 4.2.4 (co-simulation). */
 enum {

@@ -8,16 +8,12 @@
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                        const fmi2Integer order[], const fmi2Real value[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_SET_INPUT_DERIVATIVES, __func__)) return fmi2Error;
-    return fmi2_status(set_motion(self, vr, nvr, order, value));
+    return ANSWERED(c, IN_SET_INPUT_DERIVATIVES, set_motion(c, vr, nvr, order, value));
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_OUTPUT_DERIVATIVES, __func__)) return fmi2Error;
-    return fmi2_status(get_rates(self, vr, nvr, order, value));
+    return ANSWERED(c, IN_GET_OUTPUT_DERIVATIVES, get_rates(c, vr, nvr, order, value));
 }
 
 /* -- steps ------------------------------------------------------------------------------------ */
@@ -25,10 +21,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint,
                       fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
-    Instance *self = c;
     (void)noSetFMUStatePriorToCurrentPoint;
-    if (!allowed(self, IN_DO_STEP, __func__)) return fmi2Error;
-    return fmi2_status(do_step(self, currentCommunicationPoint, communicationStepSize));
+    return ANSWERED(c, IN_DO_STEP, do_step(c, currentCommunicationPoint, communicationStepSize));
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {

@@ -7,21 +7,12 @@
 
 /* -- modes ------------------------------------------------------------------------------------ */
 
-static fmi2Status enter(Instance *self, unsigned modes, const char *function, uint32_t mode) {
-    if (!allowed(self, modes, function)) return fmi2Error;
-    self->state.mode = mode;
-    return fmi2OK;
-}
-
 fmi2Status fmi2EnterEventMode(fmi2Component c) {
-    return enter(c, IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+    return ANSWERED(c, IN_ENTER_EVENT_MODE, enter(c, EVENT_MODE));
 }
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
-    const fmi2Status status =
-        enter(c, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
-    if (status == fmi2OK) begin_watching(c);
-    return status;
+    return ANSWERED(c, IN_ENTER_CONTINUOUS_TIME_MODE, enter_continuous_time(c));
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {
@@ -56,37 +47,25 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,
 /* -- time and states -------------------------------------------------------------------------- */
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
-    Instance *self = c;
-    if (!allowed(self, IN_SET_TIME, __func__)) return fmi2Error;
-    return fmi2_status(set_time(self, time));
+    return ANSWERED(c, IN_SET_TIME, set_time(c, time));
 }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
-    Instance *self = c;
-    if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi2Error;
-    return fmi2_status(set_states(self, x, nx));
+    return ANSWERED(c, IN_SET_CONTINUOUS_STATES, set_states(c, x, nx));
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_CONTINUOUS_STATES, __func__)) return fmi2Error;
-    return fmi2_status(get_block(self, FIRST_STATE, x, nx));
+    return ANSWERED(c, IN_GET_CONTINUOUS_STATES, get_block(c, FIRST_STATE, x, nx));
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_DERIVATIVES, __func__)) return fmi2Error;
-    return fmi2_status(get_block(self, FIRST_DERIVATIVE, derivatives, nx));
+    return ANSWERED(c, IN_GET_DERIVATIVES, get_block(c, FIRST_DERIVATIVE, derivatives, nx));
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_NOMINALS, __func__)) return fmi2Error;
-    return fmi2_status(get_nominals(self, x_nominal, nx));
+    return ANSWERED(c, IN_GET_NOMINALS, get_nominals(c, x_nominal, nx));
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
-    Instance *self = c;
-    if (!allowed(self, IN_GET_EVENT_INDICATORS, __func__)) return fmi2Error;
-    return fmi2_status(get_indicators(self, eventIndicators, ni));
+    return ANSWERED(c, IN_GET_EVENT_INDICATORS, get_indicators(c, eventIndicators, ni));
 }

@@ -117,9 +117,8 @@ void fmi3FreeInstance(fmi3Instance instance) {
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
                                const fmi3String categories[]) {
-    Instance *self = instance;
-    if (!allowed(self, IN_SET_DEBUG_LOGGING, __func__)) return fmi3Error;
-    return fmi3_status(choose_categories(self, loggingOn, nCategories, categories));
+    return ANSWERED(instance, IN_SET_DEBUG_LOGGING,
+                    choose_categories(instance, loggingOn, nCategories, categories));
 }
 
 /* -- initialization, termination, reset ------------------------------------------------------- */
@@ -136,22 +135,16 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
 }
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
-    Instance *self = instance;
-    if (!allowed(self, IN_EXIT_INITIALIZATION_MODE, __func__)) return fmi3Error;
-    return fmi3_status(finish_initialization(self));
+    return ANSWERED(instance, IN_EXIT_INITIALIZATION_MODE, finish_initialization(instance));
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance) {
-    Instance *self = instance;
-    if (!allowed(self, IN_TERMINATE, __func__)) return fmi3Error;
-    self->state.mode = TERMINATED;
-    return fmi3OK;
+    return ANSWERED(instance, IN_TERMINATE, enter(instance, TERMINATED));
 }
 
 fmi3Status fmi3Reset(fmi3Instance instance) {
-    Instance *self = instance;
-    if (!allowed(self, IN_RESET, __func__)) return fmi3Error;
-    reset(self);
+    if (!allowed(instance, IN_RESET, __func__)) return fmi3Error;
+    reset(instance);
     return fmi3OK;
 }
 
@@ -203,39 +196,27 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
 /* -- the FMU state ---------------------------------------------------------------------------- */
 
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(take_snapshot(self, FMUState));
+    return ANSWERED(instance, IN_FMU_STATE, take_snapshot(instance, FMUState));
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(restore_snapshot(self, FMUState));
+    return ANSWERED(instance, IN_FMU_STATE, restore_snapshot(instance, FMUState));
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(release_snapshot(self, FMUState));
+    return ANSWERED(instance, IN_FMU_STATE, release_snapshot(instance, FMUState));
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(snapshot_size(self, FMUState, size));
+    return ANSWERED(instance, IN_FMU_STATE, snapshot_size(instance, FMUState, size));
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
                                  fmi3Byte serializedState[], size_t size) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(serialize(self, FMUState, serializedState, size));
+    return ANSWERED(instance, IN_FMU_STATE, serialize(instance, FMUState, serializedState, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
                                    size_t size, fmi3FMUState *FMUState) {
-    Instance *self = instance;
-    if (!allowed(self, IN_FMU_STATE, __func__)) return fmi3Error;
-    return fmi3_status(deserialize(self, serializedState, size, FMUState));
+    return ANSWERED(instance, IN_FMU_STATE, deserialize(instance, serializedState, size, FMUState));
 }

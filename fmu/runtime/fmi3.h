@@ -22,6 +22,10 @@ static inline fmi3Status fmi3_status(Status status) {
     return (fmi3Status)status;
 }
 
+/* What a function of the FMI returns: an error where it is not allowed, or else an answer. */
+#define ANSWERED(instance, modes, answer)                                                          \
+    (allowed(instance, modes, __func__) ? fmi3_status(answer) : fmi3Error)
+
 /* All variables are scalars: FMI 3 counts their values besides. */
 static inline bool one_each(Instance *self, size_t values, size_t variables_asked) {
     if (values == variables_asked) return true;

@@ -2,25 +2,19 @@
    structural parameters, model partitions. Without a variable asked, they do nothing. */
 #include "fmi3.h"
 
-static fmi3Status absent(Instance *self, unsigned modes, const char *function, size_t asked) {
-    if (!allowed(self, modes, function)) return fmi3Error;
-    if (asked == 0) return fmi3OK;
-    return fmi3_status(refuse(self, ERROR, "the model has no variable of this type"));
-}
-
 #define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
 
 #define NOT_READ_OF(TYPE)                                                                          \
     fmi3Status fmi3Get##TYPE(fmi3Instance instance, REFERENCES, fmi3##TYPE values[],               \
                              size_t nValues) {                                                     \
         (void)valueReferences, (void)values, (void)nValues;                                        \
-        return absent(instance, IN_GET_VALUES, __func__, nValueReferences);                        \
+        return ANSWERED(instance, IN_GET_VALUES, no_variables(instance, nValueReferences));        \
     }
 #define NOT_SET_OF(TYPE)                                                                           \
     fmi3Status fmi3Set##TYPE(fmi3Instance instance, REFERENCES, const fmi3##TYPE values[],         \
                              size_t nValues) {                                                     \
         (void)valueReferences, (void)values, (void)nValues;                                        \
-        return absent(instance, IN_SET_DISCRETE, __func__, nValueReferences);                      \
+        return ANSWERED(instance, IN_SET_DISCRETE, no_variables(instance, nValueReferences));      \
     }
 #define NO_VARIABLES_OF(TYPE) NOT_READ_OF(TYPE) NOT_SET_OF(TYPE)
 
@@ -39,13 +33,13 @@ NOT_SET_OF(Boolean) /* `valid` is read in fmi3.c */
 fmi3Status fmi3GetBinary(fmi3Instance instance, REFERENCES, size_t valueSizes[],
                          fmi3Binary values[], size_t nValues) {
     (void)valueReferences, (void)valueSizes, (void)values, (void)nValues;
-    return absent(instance, IN_GET_VALUES, __func__, nValueReferences);
+    return ANSWERED(instance, IN_GET_VALUES, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetBinary(fmi3Instance instance, REFERENCES, const size_t valueSizes[],
                          const fmi3Binary values[], size_t nValues) {
     (void)valueReferences, (void)valueSizes, (void)values, (void)nValues;
-    return absent(instance, IN_SET_DISCRETE, __func__, nValueReferences);
+    return ANSWERED(instance, IN_SET_DISCRETE, no_variables(instance, nValueReferences));
 }
 
 /* -- clocks ----------------------------------------------------------------------------------- */
@@ -60,72 +54,71 @@ enum {
 
 fmi3Status fmi3GetClock(fmi3Instance instance, REFERENCES, fmi3Clock values[]) {
     (void)valueReferences, (void)values;
-    return absent(instance, IN_CLOCKS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_CLOCKS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetClock(fmi3Instance instance, REFERENCES, const fmi3Clock values[]) {
     (void)valueReferences, (void)values;
-    return absent(instance, IN_CLOCKS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_CLOCKS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, REFERENCES, fmi3Float64 intervals[],
                                   fmi3IntervalQualifier qualifiers[]) {
     (void)valueReferences, (void)intervals, (void)qualifiers;
-    return absent(instance, IN_INTERVALS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, REFERENCES, fmi3UInt64 counters[],
                                    fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]) {
     (void)valueReferences, (void)counters, (void)resolutions, (void)qualifiers;
-    return absent(instance, IN_INTERVALS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, REFERENCES, fmi3Float64 shifts[]) {
     (void)valueReferences, (void)shifts;
-    return absent(instance, IN_SHIFTS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3GetShiftFraction(fmi3Instance instance, REFERENCES, fmi3UInt64 counters[],
                                 fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return absent(instance, IN_SHIFTS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, REFERENCES,
                                   const fmi3Float64 intervals[]) {
     (void)valueReferences, (void)intervals;
-    return absent(instance, IN_INTERVALS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, REFERENCES, const fmi3UInt64 counters[],
                                    const fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return absent(instance, IN_INTERVALS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, REFERENCES, const fmi3Float64 shifts[]) {
     (void)valueReferences, (void)shifts;
-    return absent(instance, IN_SHIFTS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
 }
 
 fmi3Status fmi3SetShiftFraction(fmi3Instance instance, REFERENCES, const fmi3UInt64 counters[],
                                 const fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return absent(instance, IN_SHIFTS, __func__, nValueReferences);
+    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
 }
 
 /* -- capabilities that the model description denies -------------------------------------------- */
 
-static fmi3Status denied(Instance *self, const char *function) {
-    if (!allowed(self, ALWAYS, function)) return fmi3Error;
-    return fmi3_status(refuse(self, ERROR, "the model does not offer this"));
+static Status denied(Instance *self) {
+    return refuse(self, ERROR, "the model does not offer this");
 }
 
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
                                                fmi3ValueReference valueReference,
                                                size_t *nDependencies) {
     (void)valueReference, (void)nDependencies;
-    return denied(instance, __func__);
+    return ANSWERED(instance, ALWAYS, denied(instance));
 }
 
 fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
@@ -135,19 +128,19 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
                                        fmi3DependencyKind dependencyKinds[], size_t nDependencies) {
     (void)dependent, (void)elementIndicesOfDependent, (void)independents;
     (void)elementIndicesOfIndependents, (void)dependencyKinds, (void)nDependencies;
-    return denied(instance, __func__);
+    return ANSWERED(instance, ALWAYS, denied(instance));
 }
 
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
-    return denied(instance, __func__);
+    return ANSWERED(instance, ALWAYS, denied(instance));
 }
 
 fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
-    return denied(instance, __func__);
+    return ANSWERED(instance, ALWAYS, denied(instance));
 }
 
 fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clockReference,
                                       fmi3Float64 activationTime) {
     (void)clockReference, (void)activationTime;
-    return denied(instance, __func__);
+    return ANSWERED(instance, ALWAYS, denied(instance));
 }

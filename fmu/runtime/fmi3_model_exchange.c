@@ -7,31 +7,22 @@
 
 /* -- modes ------------------------------------------------------------------------------------ */
 
-static fmi3Status enter(Instance *self, unsigned modes, const char *function, uint32_t mode) {
-    if (!allowed(self, modes, function)) return fmi3Error;
-    self->state.mode = mode;
-    return fmi3OK;
-}
-
 fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
     const Instance *self = instance;
     const bool never = self && self->state.interface == INTERFACE_CS && !self->host.event_mode;
-    const fmi3Status status =
-        enter(instance, never ? NEVER : IN_ENTER_EVENT_MODE, __func__, EVENT_MODE);
+    const unsigned modes = never ? NEVER : IN_ENTER_EVENT_MODE;
+    const fmi3Status status = ANSWERED(instance, modes, enter(instance, EVENT_MODE));
     if (status == fmi3OK && self->state.interface == INTERFACE_CS) enter_instant(instance);
     return status;
 }
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-    const fmi3Status status =
-        enter(instance, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
-    if (status == fmi3OK) begin_watching(instance);
-    return status;
+    return ANSWERED(instance, IN_ENTER_CONTINUOUS_TIME_MODE, enter_continuous_time(instance));
 }
 
 /* Discrete states change in fmi3UpdateDiscreteStates alone. */
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
-    return enter(instance, IN_DISCRETE_STATES, __func__, EVENT_MODE);
+    return ANSWERED(instance, IN_DISCRETE_STATES, enter(instance, EVENT_MODE));
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
@@ -74,44 +65,37 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
 /* -- time and states -------------------------------------------------------------------------- */
 
 fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
-    Instance *self = instance;
-    if (!allowed(self, IN_SET_TIME, __func__)) return fmi3Error;
-    return fmi3_status(set_time(self, time));
+    return ANSWERED(instance, IN_SET_TIME, set_time(instance, time));
 }
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
-    Instance *self = instance;
-    if (!allowed(self, IN_SET_CONTINUOUS_STATES, __func__)) return fmi3Error;
-    return fmi3_status(set_states(self, continuousStates, nContinuousStates));
+    return ANSWERED(instance, IN_SET_CONTINUOUS_STATES,
+                    set_states(instance, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[],
                                    size_t nContinuousStates) {
-    Instance *self = instance;
-    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return fmi3_status(get_block(self, FIRST_STATE, continuousStates, nContinuousStates));
+    return ANSWERED(instance, IN_GET_CONTINUOUS,
+                    get_block(instance, FIRST_STATE, continuousStates, nContinuousStates));
 }
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[],
                                              size_t nContinuousStates) {
-    Instance *self = instance;
-    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return fmi3_status(get_block(self, FIRST_DERIVATIVE, derivatives, nContinuousStates));
+    return ANSWERED(instance, IN_GET_CONTINUOUS,
+                    get_block(instance, FIRST_DERIVATIVE, derivatives, nContinuousStates));
 }
 
 fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[],
                                              size_t nContinuousStates) {
-    Instance *self = instance;
-    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return fmi3_status(get_nominals(self, nominals, nContinuousStates));
+    return ANSWERED(instance, IN_GET_CONTINUOUS,
+                    get_nominals(instance, nominals, nContinuousStates));
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[],
                                   size_t nEventIndicators) {
-    Instance *self = instance;
-    if (!allowed(self, IN_GET_CONTINUOUS, __func__)) return fmi3Error;
-    return fmi3_status(get_indicators(self, eventIndicators, nEventIndicators));
+    return ANSWERED(instance, IN_GET_CONTINUOUS,
+                    get_indicators(instance, eventIndicators, nEventIndicators));
 }
 
 static fmi3Status count(Instance *self, const char *function, size_t number, size_t *result) {

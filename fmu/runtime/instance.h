@@ -170,4 +170,14 @@ static bool allowed(Instance *self, unsigned modes, const char *function) {
     return true;
 }
 
+static Status enter(Instance *self, uint32_t mode) {
+    self->state.mode = mode;
+    return OK;
+}
+
+/* What functions for types that no variable has do. */
+static Status no_variables(Instance *self, size_t asked) {
+    return asked == 0 ? OK : refuse(self, ERROR, "the model has no variable of this type");
+}
+
 #endif

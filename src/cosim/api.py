@@ -147,7 +147,6 @@ def run_scene(
         >>> run_scene(cosim.read_scene("crank_torque.toml")).names
         ('T',)
     """
-    if not isinstance(scene, Scene):
-        raise UsageError.of_type("run_scene", scene, "what cosim.read_scene returns")
+    UsageError.reject("run_scene", scene, Scene, "what cosim.read_scene returns")
     request = requested(scene.request, **keywords) if keywords else scene.request
     return execute(request.reduced(), choice(Backend, "backend", backend))

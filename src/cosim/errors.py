@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
 from functools import wraps
 from inspect import isfunction, signature
@@ -45,6 +45,12 @@ class UsageError(CosimError):
         given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
         return cls(f"{call} was given {given}; give {expected}")
 
+    @classmethod
+    def reject(cls, call: str, value: object, kind: Any, expected: str) -> None:
+        """Raise this error unless a value is of a type."""
+        if not isinstance(value, kind):
+            raise cls.of_type(call, value, expected)
+
 
 class ParameterError(UsageError):
     """A value that is not finite, out of bounds, or of the wrong type."""
@@ -66,6 +72,13 @@ class UnknownName(CosimError):
             else f"it has {shortened(names, 12) or 'none'}"
         )
         return cls(f"{owner} has no {kind} '{name}'; {hint}")
+
+    @classmethod
+    def reject(cls, owner: str, kind: str, known: Collection[str], *names: str) -> None:
+        """Raise the error of the first name that does not exist."""
+        for name in names:
+            if name not in known:
+                raise cls.among(owner, kind, name, known)
 
     @classmethod
     def of_model(cls, model: str, kind: str, name: str, known: Iterable[str]) -> UnknownName:

@@ -127,8 +127,7 @@ def picture_format(target: str) -> str:
         UnknownName: The ending is none of `FORMATS`.
     """
     kind = Path(target).suffix.lstrip(".").lower()
-    if kind not in FORMATS:
-        raise UnknownName.among(target, "picture format", kind, FORMATS)
+    UnknownName.reject(target, "picture format", FORMATS, kind)
     return kind
 
 

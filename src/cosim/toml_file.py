@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,12 +65,11 @@ class TomlFile:
         except CosimError as error:
             raise type(error)(f"{self.at(*key, word=word)}: {error}") from error
 
-    def reject_unknown(self, table: Key, found: Iterable[str], known: Iterable[str]) -> None:
+    def reject_unknown(self, table: Key, found: Iterable[str], known: Collection[str]) -> None:
         """Reject keys of a table that it does not have."""
         owner = f"[{table[0]}]" if table else "a scene"
         for key in found:
-            if key not in known:
-                raise UnknownName.among(f"{self.at(*table, key)}: {owner}", "key", key, known)
+            UnknownName.reject(f"{self.at(*table, key)}: {owner}", "key", known, key)
 
 
 def read_toml(path: Path) -> TomlFile:

@@ -323,8 +323,9 @@ class Trajectory:
             UnknownName: There is no column with a requested header.
             ParameterError: A cell is not a number, or time is missing or decreases.
         """
-        if not isinstance(columns, Mapping | None):
-            raise UsageError.of_type("read_csv: columns", columns, "headers by name of a variable")
+        UsageError.reject(
+            "read_csv: columns", columns, Mapping | None, "headers by name of a variable"
+        )
         place = Path(path)
         known = {} if like is None else {column.name: column for column in like.columns}
         times, own, values, _ = read_samples(place, columns, time, units or {}, known)

@@ -350,11 +350,18 @@ def test_values_of_a_system_are_not_ignored_by_export(tmp_path, capsys):
     assert capsys.readouterr().err
 
 
-def test_time_beyond_the_span_is_rejected_before_a_co_simulation(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("--at 1,99", "ride: time 99.0 is not within the run, 0 ... 2 s"),
+        ("-p bicycle.phi=1 --start-values bicycle.phi 2", "bicycle.phi is given twice"),
+    ],
+)
+def test_wrong_options_are_rejected_before_a_co_simulation(words, reason, capsys, monkeypatch):
     monkeypatch.setattr(
         "cosim.coupling.system.System.simulate", lambda *_, **__: pytest.fail("ran")
     )
-    call = ["simulate", "examples/coupled/ride.toml", "--method", "iterated", "--at", "1,99"]
+    call = ["simulate", "examples/coupled/ride.toml", "--method", "iterated", *words.split()]
     monkeypatch.chdir(Path(__file__).parents[2])
     assert main(call) == 2
-    assert "ride: time 99.0 is not within the run, 0 ... 2 s" in capsys.readouterr().err
+    assert reason in capsys.readouterr().err

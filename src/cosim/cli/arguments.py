@@ -107,16 +107,14 @@ def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
 
 
 def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of an option whose values are written as NAME=TEXT."""
-    names = set[str]()
+    """Return the names and texts of an option whose values are written as NAME=TEXT."""
+    pairs = list[tuple[str, str]]()
     for item in items:
         name, equals, text = (part.strip() for part in item.partition("="))
         if not equals:
             raise UsageError(f"{option} {item}: write NAME={form}")
-        if name in names:
-            raise UsageError(f"{name} is given twice; give it once")
-        names.add(name)
-        yield name, text
+        pairs.append((name, text))
+    return _each_once(pairs)
 
 
 def numbers_in(option: str, text: str, unit: str = "s") -> list[float]:
@@ -141,17 +139,17 @@ def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:
     if len(words) % 2:
         raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
     pairs = zip(words[::2], words[1::2], strict=True)
-    return [*pairs, *assigned("-p", args.values, "VALUE[UNIT]")]
+    return [*_each_once([*pairs, *assigned("-p", args.values, "VALUE[UNIT]")])]
 
 
 def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
     """Return the values of `-p` and `--start-values` by name; they need a model to have units."""
-    return {name: value_of(dae, name, text) for name, text in _each_once(start_texts(args))}
+    return {name: value_of(dae, name, text) for name, text in start_texts(args)}
 
 
 def start_values_of_fmu(args: argparse.Namespace) -> dict[str, Any]:
     """Return the values of `-p` and `--start-values` by name, for variables of any type."""
-    return {name: value_of_fmu(name, text) for name, text in _each_once(start_texts(args))}
+    return {name: value_of_fmu(name, text) for name, text in start_texts(args)}
 
 
 def _each_once(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:

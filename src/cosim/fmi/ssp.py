@@ -237,8 +237,7 @@ def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tup
     if not dot or component not in described:
         raise UnknownName.among("the SSP", "component", component, described)
     _, variables = described[component]
-    if name not in variables:
-        raise UnknownName.among(component, "variable", name, variables)
+    UnknownName.reject(component, "variable", variables, name)
     if causality is not None and variables[name].causality != causality:
         raise UsageError(f"{text} is not an {causality}; connect an output to an input")
     return component, variables[name].name

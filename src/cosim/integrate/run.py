@@ -118,7 +118,7 @@ def _evaluated(
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
             n, why = singular
-            reason = Ending(why.removesuffix(f"; {PROJECTION}"), EndKind.SINGULAR, PROJECTION)
+            reason = Ending(why, EndKind.SINGULAR, PROJECTION)
         elif singular is not None:  # an explicit formulation goes on, with a warning
             found.append(singular)
     if checked:

@@ -72,8 +72,7 @@ def requested_solver(
         UsageError: The solver does not have one of these numbers.
         ParameterError: A number is out of its range.
     """
-    if not isinstance(dae, Dae):
-        raise UsageError.of_type("a solver", dae, A_DAE)
+    UsageError.reject("a solver", dae, Dae, A_DAE)
     numbers = relative_tolerance, absolute_tolerance, max_step, step_size
     named = zip((*LIMITS, "step_size"), numbers, strict=True)
     given = {name: value for name, value in named if value is not None}

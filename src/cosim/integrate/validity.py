@@ -252,13 +252,12 @@ def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: in
     first = next(every, None)
     if first is None:
         return None
-    conditioned = dae.has_conditioned_multipliers
-    remedy = PROJECTION if conditioned else "use a formulation with multipliers"
     text = (
         f"singular configuration at {first.when:.4g} s ({CONSTRAINT_CONDITION} "
-        f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations; "
-        f"{remedy}"
+        f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations"
     )
+    if not dae.has_conditioned_multipliers:
+        text += "; use a formulation with multipliers"
     return Breach(first.position + 1, Violation(first.when, text, text))
 
 

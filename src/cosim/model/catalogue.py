@@ -108,8 +108,7 @@ def load(name: str) -> Dae:
         >>> load("crank_shaft").full_name
         'crank_shaft/driven'
     """
-    if not isinstance(name, str):
-        raise UsageError.of_type("load", name, "the name of a model, e.g. 'bicycle'")
+    UsageError.reject("load", name, str, "the name of a model, e.g. 'bicycle'")
     if ".py:" in name:
         return load_user_model(*name.rsplit(":", 1))
     if name.endswith(".casadi"):

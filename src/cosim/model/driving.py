@@ -69,8 +69,7 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
     constants, laws, pieces = dict[str, float](), list[tuple[str, Law]](), list[InputSeries]()
     own = set[str]()
     for name, value, numbers in _by_name(dae.full_name, inputs):
-        if name not in known:
-            raise UnknownName.among(dae.full_name, "input", name, known)
+        UnknownName.reject(dae.full_name, "input", known, name)
         own |= numbers.keys()
         if twice := {n for n, v in numbers.items() if constants.setdefault(n, v) != v}:
             raise UsageError(f"{dae.full_name}: {min(twice)} has two values; give it one")
@@ -194,8 +193,7 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str,
     known = [variable.name for variable in dae.inputs]
     rows = ca.vertsplit(dae.u) if known else []
     for name, law in laws:
-        if name not in known:
-            raise UnknownName.among(dae.full_name, "input", name, known)
+        UnknownName.reject(dae.full_name, "input", known, name)
         place = known.index(name)
         if not isinstance(law, str):
             rows[place] = _symbolic(dae, law)

@@ -213,8 +213,7 @@ class _Reader:
     def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Any:
         if name in _OTHER_NAMES_OF_WHERE:
             raise ParameterError(f"{self.owner}: '{self.text}': no function {name}; {_CHOOSE}")
-        if name not in _FUNCTIONS:
-            raise UnknownName.among(f"{self.owner}: '{self.text}'", "function", name, _FUNCTIONS)
+        UnknownName.reject(f"{self.owner}: '{self.text}'", "function", _FUNCTIONS, name)
         count, function = _FUNCTIONS[name]
         if len(arguments) != count:
             raise self.refusal(node)

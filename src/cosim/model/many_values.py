@@ -46,8 +46,7 @@ def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, V
         ParameterError: Something is no column of numbers, or the lengths differ.
         UsageError: These are no values by name.
     """
-    if not isinstance(values, Mapping | None):
-        raise UsageError.of_type(owner, values, "arrays by name, e.g. {'phi': [0.1, 0.2]}")
+    UsageError.reject(owner, values, Mapping | None, "arrays by name, e.g. {'phi': [0.1, 0.2]}")
     columns: dict[str, Vector] = {}
     for name, value in (values or {}).items():
         try:

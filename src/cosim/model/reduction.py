@@ -98,9 +98,7 @@ def frozen_at_start(dae: Dae, names: Collection[str]) -> Dae:
         UnknownName: The model has no such parameter.
     """
     known = {v.name: v for v in dae.parameters}
-    for name in names:
-        if name not in known:
-            raise UnknownName.among(dae.full_name, "parameter", name, known)
+    UnknownName.reject(dae.full_name, "parameter", known, *names)
     values = SX(dae.p)
     for i, parameter in enumerate(dae.parameters):
         if parameter.name in names:
@@ -178,8 +176,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         >>> len(small.states), small.observed
         (6, ('phi', 'delta'))
     """
-    if not isinstance(dae, Dae):
-        raise UsageError.of_type("reduce", dae, A_DAE)
+    UsageError.reject("reduce", dae, Dae, A_DAE)
     if isinstance(freeze, str) or not isinstance(freeze, Collection):
         raise UsageError.of_type(f"{dae.full_name}: freeze", freeze, "a list of parameters")
     outputs = checked_outputs(dae, outputs)

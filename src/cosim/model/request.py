@@ -81,8 +81,7 @@ class Policy:
         if self.drift_control is not None:
             control = choice(DriftControl, "drift control", self.drift_control)
             set_field(self, "drift_control", control)
-        if not isinstance(self.compiled, bool | None):
-            raise UsageError.of_type("compiled", self.compiled, "True, False or None")
+        UsageError.reject("compiled", self.compiled, bool | None, "True, False or None")
 
     @property
     def projects(self) -> bool:
@@ -133,9 +132,9 @@ class RunRequest:
             owner, expected = f"{self.dae.full_name}: inputs", "what read_inputs returns"
             raise UsageError.of_type(owner, self.inputs, expected)
         known = [variable.name for variable in self.dae.inputs]
-        for name in self.inputs.names if self.inputs else ():
-            if name not in known:
-                raise UnknownName.among(self.dae.full_name, "input", name, known)
+        UnknownName.reject(
+            self.dae.full_name, "input", known, *(self.inputs.names if self.inputs else ())
+        )
 
     @cached_property
     def numbers(self) -> Values:

@@ -91,10 +91,8 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         InitialConditionError: A start value is given that follows from others.
         UsageError: This is no model, or these are no values by name.
     """
-    if not isinstance(dae, Dae):
-        raise UsageError.of_type("a run", dae, A_DAE)
-    if not isinstance(overrides, Mapping | None):
-        raise UsageError.of_type(dae.full_name, overrides, "values by name, e.g. {'phi': 0.1}")
+    UsageError.reject("a run", dae, Dae, A_DAE)
+    UsageError.reject(dae.full_name, overrides, Mapping | None, "values by name, e.g. {'phi': 0.1}")
     usual, place = usual_numbers(dae)
     numbers, given = usual.copy(), dict(overrides or {})
     for name, value in given.items():

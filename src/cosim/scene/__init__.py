@@ -18,8 +18,7 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     Raises:
         UnknownName: There is no such file, and no shipped scene of that name.
     """
-    if not isinstance(path, str | os.PathLike):
-        raise UsageError.of_type("read_scene", path, "the name of a TOML file")
+    UsageError.reject("read_scene", path, str | os.PathLike, "the name of a TOML file")
     requested = Path(path)
     # unlike `Path.exists`, no error for a name that is too long
     if os.path.exists(path) or len(requested.parts) > 1:  # noqa: PTH110

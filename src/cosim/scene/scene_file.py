@@ -219,8 +219,7 @@ def _run_keywords(file: TomlFile) -> Keywords:
         with file.naming("run", key):
             if key == "solver":
                 found[key] = _checked_text(value, key)
-                if found[key] not in SOLVERS:
-                    raise UnknownName.among("cosim", "solver", found[key], SOLVERS)
+                UnknownName.reject("cosim", "solver", SOLVERS, found[key])
             else:
                 found[key] = number("run", key, value, positive=key in _POSITIVE)
             if key == "relative_tolerance":

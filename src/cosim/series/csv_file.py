@@ -49,8 +49,7 @@ def write_csv(
 def _write_lines(
     stream: TextIO, columns: Sequence[Column], time: Vector, values: Vector, units: str
 ) -> None:
-    if units not in UNIT_KINDS:
-        raise UnknownName.among("to_csv", "kind of units", units, UNIT_KINDS)
+    UnknownName.reject("to_csv", "kind of units", UNIT_KINDS, units)
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([csv_cell(name) for name in ("time", *(column.name for column in columns))])
     if units == "book":
@@ -115,8 +114,7 @@ def read_samples(
     places = [at, *(i for _, i in chosen)]
     place_of = {"time": at, **dict(chosen)}
     for key, unit in units.items():
-        if key not in place_of:
-            raise UnknownName.among(f"{path}: units", "column", key, place_of)
+        UnknownName.reject(f"{path}: units", "column", place_of, key)
         other = written[place_of[key]]
         if other is not None and other != unit and parse_unit(other) is not None:
             raise UsageError(f"{path}: {key} is in '{other}' by its header; units= says '{unit}'")

@@ -254,8 +254,7 @@ class Copies:
             UsageError: The bytes are no saved state of as many copies of this model, or damaged.
         """
         engine = self._require()
-        if not isinstance(saved, bytes):
-            raise UsageError.of_type(f"{self.name}: restore", saved, "what save has returned")
+        UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
         try:
             with np.load(io.BytesIO(saved)) as content:
                 arrays = dict(content)
@@ -315,9 +314,8 @@ class Copies:
         return column
 
 
-def _given(owner: str, values: Any) -> Mapping[str, Any]:
-    if not isinstance(values, Mapping):
-        raise UsageError.of_type(
-            f"{owner}: start_values", values, "values by name, e.g. {'phi': [0.1, 0.2]}"
-        )
+def _given(owner: str, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    UsageError.reject(
+        f"{owner}: start_values", values, Mapping, "values by name, e.g. {'phi': [0.1, 0.2]}"
+    )
     return values

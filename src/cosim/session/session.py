@@ -359,8 +359,7 @@ class Session:
             FmuError: The FMU rejects the state, or the session is closed.
         """
         self._reject_closed()
-        if not isinstance(saved, bytes):
-            raise UsageError.of_type(f"{self.name}: restore", saved, "what save has returned")
+        UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
         whole = saved[_SUM.size :]
         if len(whole) < _HEAD.size or _SUM.unpack_from(saved)[0] != zlib.crc32(whole):
             raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
@@ -421,10 +420,9 @@ class Session:
         Raises:
             UnknownName, UsageError, ParameterError, InitialConditionError: See `reset`.
         """
-        if not isinstance(values, Mapping):
-            raise UsageError.of_type(
-                f"{self.name}: start_values", values, "values by name, e.g. {'phi': 1}"
-            )
+        UsageError.reject(
+            f"{self.name}: start_values", values, Mapping, "values by name, e.g. {'phi': 1}"
+        )
         if self._dae is not None and values:
             request = requested(self._dae, start_values=values)
             values = plain_values(self._dae, request.values)

@@ -175,8 +175,7 @@ def compare(
         True
     """
     for run in (first, second):
-        if not isinstance(run, Trajectory):
-            raise UsageError.of_type("compare", run, "two results of simulate or simulate_fmu")
+        UsageError.reject("compare", run, Trajectory, "two results of simulate or simulate_fmu")
     number("compare", "bound", bound, positive=True)
     names = [name for name in first.names if name in second.names and name not in without]
     if not names:

@@ -110,8 +110,7 @@ def crosscheck(
     number("crosscheck", "bound", bound, positive=True)
     if isinstance(models, Subject):
         models = [models]
-    if not isinstance(models, Collection | None):
-        raise UsageError.of_type("crosscheck", models, "names of models, or scenes")
+    UsageError.reject("crosscheck", models, Collection | None, "names of models, or scenes")
     for item in models or ():
         if isinstance(item, str) and ".py:" not in item:
             formulations(item)  # rejects an unknown name before the first run
@@ -187,8 +186,7 @@ def _members(item: Subject) -> Iterator[RunRequest]:
     if isinstance(item, System):
         yield RunRequest(item.dae)
         return
-    if not isinstance(item, Scene):
-        raise UsageError.of_type("crosscheck", item, "names of models, scenes or systems")
+    UsageError.reject("crosscheck", item, Scene, "names of models, scenes or systems")
     yield from fitting_formulations(item.request)
 
 

@@ -96,8 +96,7 @@ def reference(subject: Scene | RunRequest | Dae) -> Reference:
         subject = RunRequest(subject)
     if isinstance(subject, Scene):
         subject = subject.request
-    if not isinstance(subject, RunRequest):
-        raise UsageError.of_type("reference", subject, "a Scene or a Dae")
+    UsageError.reject("reference", subject, RunRequest, "a Scene or a Dae")
     key = reference_key(subject)
     entry = f"references/{key}"
     known = _read_reference(entry, key)

@@ -50,10 +50,8 @@ def _export_system(args: argparse.Namespace) -> int:
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:
     """Return the options of the export, checked where they are choices."""
-    if args.fmi not in ("2", "3"):
-        raise UnknownName.among("cosim export", "FMI version", args.fmi, ("2", "3"))
-    if args.reference not in ("auto", "none"):
-        raise UnknownName.among("cosim export", "reference", args.reference, ("auto", "none"))
+    UnknownName.reject("cosim export", "FMI version", ("2", "3"), args.fmi)
+    UnknownName.reject("cosim export", "reference", ("auto", "none"), args.reference)
     about = {name: getattr(args, name) for name in ("author", "license", "date")}
     options: FmuKeywords = {
         "fmi": int(args.fmi),

@@ -36,6 +36,5 @@ def _scene(name: str) -> str:
     """Return the text of a shipped scene."""
     known = {path.stem: path for path in shipped_scenes()}
     name = name.removesuffix(".toml")
-    if name not in known:
-        raise UnknownName.among("cosim", "scene", name, known)
+    UnknownName.reject("cosim", "scene", known, name)
     return known[name].read_text(encoding="utf-8")

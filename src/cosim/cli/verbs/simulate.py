@@ -47,8 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _checked_ending(args: argparse.Namespace) -> str:
     """Return the ending of the output file, or reject it before anything is computed."""
-    if args.units not in UNIT_KINDS:
-        raise UnknownName.among("cosim simulate", "kind of units", args.units, UNIT_KINDS)
+    UnknownName.reject("cosim simulate", "kind of units", UNIT_KINDS, args.units)
     file = args.output_file or ""
     ending = Path(file).suffix.lower()
     if ending and (ending == ".json") != args.json:

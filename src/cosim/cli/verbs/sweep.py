@@ -93,8 +93,7 @@ def _range(subject: Subject, name: str, text: str) -> Any:
 
 
 def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) -> Any:
-    if kind not in _DISTRIBUTIONS:
-        raise UnknownName.among(f"-p {name}", "distribution", kind, _DISTRIBUTIONS)
+    UnknownName.reject(f"-p {name}", "distribution", _DISTRIBUTIONS, kind)
     if len(words) != 2:
         raise UsageError(f"-p {name}: write {kind}({', '.join(_DISTRIBUTIONS[kind])})")
     first, second = (_si_value(subject, name, word) for word in words)

@@ -26,8 +26,7 @@ _RUN_COLUMNS = (
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
     ending = Path(args.output_file).suffix if args.output_file else ".csv"
-    if ending not in (".csv", ".json"):
-        raise UnknownName.among(args.output_file, "file format", ending, (".csv", ".json"))
+    UnknownName.reject(args.output_file, "file format", (".csv", ".json"), ending)
     selection = _selection(args)
     co_simulated = is_system(args.model) and selection == Selection(steps=selection.steps)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)

@@ -135,8 +135,7 @@ def tunable_parameters(dae: Dae, wanted: Sequence[str] | None) -> tuple[str, ...
     if tuple(wanted) == (ALL,):
         return tuple(name for name in names if fixed.get(name) != WHY_IDLE)
     for name in wanted:
-        if name not in names:
-            raise UnknownName.among(dae.full_name, "parameter", name, names)
+        UnknownName.reject(dae.full_name, "parameter", names, name)
         if fixed.get(name) == WHY_IDLE:
             raise UsageError(
                 f"{dae.full_name}: {name} cannot be tunable, as {WHY_IDLE}; set it before a run"

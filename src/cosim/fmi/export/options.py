@@ -108,15 +108,12 @@ class FmuOptions:
             if fixed != (name == "step_size"):
                 other = "the adaptive ones" if fixed else " and ".join(FIXED_STEPS)
                 raise UsageError(f"export: {name} is for other solvers: {other}; name one")
-        for key in self.about or {}:
-            if key not in ABOUT:
-                raise UnknownName.among("export", "fact about an FMU", key, ABOUT)
+        UnknownName.reject("export", "fact about an FMU", ABOUT, *(self.about or {}))
         if self.adjoint and not self.derivatives:
             raise UsageError("export: adjoint needs derivatives; leave one of the options out")
         if self.adjoint and self.fmi == 2:
             raise UsageError("export: FMI 2.0 has no adjoint derivatives; use --fmi 3")
-        if self.names not in tuple(NameStyle):
-            raise UnknownName.among("export", "kind of names", self.names, NameStyle)
+        UnknownName.reject("export", "kind of names", tuple(NameStyle), self.names)
 
     def identifier_of(self, dae: Dae) -> str:
         """Return the C identifier of a model's FMU."""

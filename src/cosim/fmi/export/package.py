@@ -79,10 +79,8 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
         >>> export_fmu(cosim.load("crank_shaft"), "crank.fmu", fmi=3).name
         'crank.fmu'
     """
-    if not isinstance(dae, Dae):
-        raise UsageError.of_type("export_fmu", dae, A_DAE)
-    if not isinstance(target, str | os.PathLike):
-        raise UsageError.of_type("export_fmu", target, "a file name")
+    UsageError.reject("export_fmu", dae, Dae, A_DAE)
+    UsageError.reject("export_fmu", target, str | os.PathLike, "a file name")
     options = FmuOptions(**keywords)
     path = Path(target)
     reject_unwritable(path)  # before anything is computed

@@ -246,8 +246,7 @@ def checked_values(
         UnknownName, UsageError, ParameterError: A variable does not exist, cannot be set, or gets
             no finite number.
     """
-    if not isinstance(values, Mapping):
-        raise UsageError.of_type(f"{name}: start_values", values, "values by name, e.g. {'phi': 1}")
+    UsageError.reject(f"{name}: start_values", values, Mapping, "values by name, e.g. {'phi': 1}")
     for variable in values:
         if variable not in variables:
             settable = [v.name for v in variables.values() if _is_settable(v)]
@@ -298,8 +297,7 @@ def output_names(
         return found
     found = []
     for output in listed(f"{name}: outputs", outputs):
-        if output not in variables:
-            raise UnknownName.among(str(name), "output", output, variables)
+        UnknownName.reject(str(name), "output", variables, output)
         one = variables[output]
         numbers = elements_of(one, variables.values()) if one.dimensions else [one]
         if not numbers or not is_number(numbers[0]):
@@ -314,8 +312,7 @@ def _check_series(
     """Reject a series for a variable that is no real input or has a constant value as well."""
     known = {n: v for n, v in variables.items() if v.causality == "input"}
     for variable in series.names:
-        if variable not in known:
-            raise UnknownName.among(str(name), "input", variable, known)
+        UnknownName.reject(str(name), "input", known, variable)
         if known[variable].type not in _CONTINUOUS or known[variable].dimensions:
             raise UsageError(
                 f"{name}: {variable} is {_kind_of(known[variable])}; only real inputs follow time "

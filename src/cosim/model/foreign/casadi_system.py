@@ -224,11 +224,8 @@ def read_system(who: str, system: Any, outputs: Mapping[str, Any]) -> System:
         system = _loaded(who, Path(system))
     if isinstance(system, ca.Function):
         return _of_function(who, system, outputs)
-    if not isinstance(system, Mapping):
-        raise UsageError.of_type("from_casadi", system, "a dict of expressions or a Function")
-    for key in system:
-        if key not in (every := (*SYMBOLS, *LAWS, *EVENTS, *REDUCED)):
-            raise UnknownName.among(who, "key", key, every)
+    UsageError.reject("from_casadi", system, Mapping, "a dict of expressions or a Function")
+    UnknownName.reject(who, "key", (*SYMBOLS, *LAWS, *EVENTS, *REDUCED), *system)
     transition = system.get("transition")
     if ("zero" in system) != isinstance(transition, ca.Function):
         raise UsageError(f"{who}: give 'zero' and the Function 'transition' together, or neither")
@@ -263,9 +260,7 @@ def is_reduction(value: Any) -> bool:
 
 
 def _of_function(who: str, function: ca.Function, outputs: Mapping[str, Any]) -> System:
-    for input_name in function.name_in():
-        if input_name not in SYMBOLS:
-            raise UnknownName.among(who, "input", input_name, SYMBOLS)
+    UnknownName.reject(who, "input", SYMBOLS, *function.name_in())
     symbols: dict[str, tuple[Symbol, ...]] = dict.fromkeys(SYMBOLS, ())
     arguments = []
     for input_name in function.name_in():

@@ -41,8 +41,7 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
         >>> from_dae_builder(builder).states[0].name
         'x'
     """
-    if not isinstance(builder, ca.DaeBuilder):
-        raise UsageError.of_type("from_dae_builder", builder, "a casadi.DaeBuilder")
+    UsageError.reject("from_dae_builder", builder, ca.DaeBuilder, "a casadi.DaeBuilder")
     who = f"DaeBuilder {builder.name()}"
     if not builder.symbolic():
         raise UsageError(

@@ -120,19 +120,15 @@ class Facts:
             ("meanings", "meaning", self.meanings, own + shown),
             ("nominals", "nominal value", self.nominals, own + shown),
         ):
-            if not isinstance(given, Mapping):
-                raise UsageError.of_type(f"{self.who}: {option}", given, "a dict by name")
-            for name in given:
-                if name not in known:
-                    raise UnknownName.among(self.who, f"variable for the {what} of", name, known)
+            UsageError.reject(f"{self.who}: {option}", given, Mapping, "a dict by name")
+            UnknownName.reject(self.who, f"variable for the {what} of", known, *given)
 
     def of(self, name: str, symbol: str, meaning: str) -> tuple[str, str, dict[str, Any]]:
         """Return unit, meaning and further facts of a variable."""
         unit = self.units.get(name, self.units.get(symbol, "1"))
         meaning = self.meanings.get(name, self.meanings.get(symbol, meaning))
         more: dict[str, Any] = {}
-        if not isinstance(unit, str):
-            raise UsageError.of_type(f"{self.who}: unit of {name}", unit, "a text")
+        UsageError.reject(f"{self.who}: unit of {name}", unit, str, "a text")
         if not known_unit(unit):
             more["foreign_unit"] = True
             meaning = f"{meaning} (unit '{unit}' is unknown here: factor 1)"
@@ -235,8 +231,7 @@ def from_casadi(
         ['x', 'twice', 'k']
     """
     who = f"from_casadi({name})"
-    if not isinstance(outputs, Mapping | None):
-        raise UsageError.of_type(f"{who}: outputs", outputs, "a dict of expressions by name")
+    UsageError.reject(f"{who}: outputs", outputs, Mapping | None, "a dict of expressions by name")
     found = read_system(who, system, outputs or {})
     facts = Facts(who, start_values or {}, units or {}, meanings or {}, nominals or {})
     reject_sizes(who, found)

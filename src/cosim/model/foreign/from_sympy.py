@@ -59,8 +59,7 @@ def _label(key: Any) -> str:
 
 
 def _by_name(who: str, given: Any) -> dict[str, Any]:
-    if not isinstance(given, Mapping | None):
-        raise UsageError.of_type(who, given, "a dict by symbol or name")
+    UsageError.reject(who, given, Mapping | None, "a dict by symbol or name")
     return {_label(key): value for key, value in (given or {}).items()}
 
 
@@ -157,9 +156,7 @@ def from_sympy(
         for kind, xs in roles.kinds.items()
     }
     known = [symbol.name for some in named.values() for symbol in some]
-    for key in given:
-        if key not in known:
-            raise UnknownName.among(who, "parameter", key, known)
+    UnknownName.reject(who, "parameter", known, *given)
     try:
         found = _solved(who, method, laws, roles, symbols)
         names = [*map(_label, [*roles.lists["dependent"], *roles.lists["forces"]]), *shown]
@@ -181,8 +178,7 @@ def _column_of(who: str, outputs: Mapping[str, Any]) -> Any:
     """Return the expressions of outputs as a column of SymPy."""
     sympy = optional_module("sympy", "sympy")
     for output in outputs.values():
-        if not isinstance(output, sympy.Expr):
-            raise UsageError.of_type(f"{who}: outputs", output, "scalar expressions of SymPy")
+        UsageError.reject(f"{who}: outputs", output, sympy.Expr, "scalar expressions of SymPy")
     return sympy.Matrix([*outputs.values()])
 
 

@@ -89,8 +89,7 @@ def fit(
         {'alpha': 10.0, 'omega': 50.0}
     """
     optimize, stats = (optional_module(f"scipy.{name}", "data") for name in ("optimize", "stats"))
-    if loss not in LOSSES:
-        raise UnknownName.among("fit", "loss", loss, LOSSES)
+    UnknownName.reject("fit", "loss", LOSSES, loss)
     if not 0 < number("fit", "confidence", confidence) < 1:
         raise ParameterError(f"fit: confidence = {confidence} is not between 0 and 1")
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
@@ -174,9 +173,7 @@ class _Problem:
         """Return the noise of each output: given, or nominal values to begin with, (outputs,)."""
         if given is None:
             return np.array([self.subject.column(name).nominal for name in self.names])
-        for name in given:
-            if name not in self.names:
-                raise UnknownName.among("fit: noise", "measured variable", name, self.names)
+        UnknownName.reject("fit: noise", "measured variable", self.names, *given)
         missing = [name for name in self.names if name not in given]
         if missing:
             raise UsageError(f"fit: the noise of {missing[0]} is missing; give it, too")

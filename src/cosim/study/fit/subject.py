@@ -106,8 +106,7 @@ class FmuSubject:
 
     def _variable(self, name: str) -> Any:
         variables = by_name(self._description)
-        if name not in variables:
-            raise UnknownName.among(self.path, "variable", name, variables)
+        UnknownName.reject(self.path, "variable", variables, name)
         return variables[name]
 
     def known(self, name: str) -> Known:

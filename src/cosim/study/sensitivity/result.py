@@ -70,8 +70,7 @@ class Sensitivity:
             ("output", of, self.run.names),
             ("parameter", by, [target.name for target in self.targets]),
         ):
-            if name not in known:
-                raise UnknownName.among(f"{self.run.model}: sensitivity", kind, name, known)
+            UnknownName.reject(f"{self.run.model}: sensitivity", kind, known, name)
             places.append([*known].index(name))
         return self.values[:, places[0], places[1]]
 

@@ -119,9 +119,7 @@ class Selection:
             ("solver", self.solvers, SOLVERS),
             ("drift control", self.drift_controls, tuple(DriftControl)),
         ):
-            for name in names:
-                if name not in known:
-                    raise UnknownName.among("cosim tradeoff", kind, name, known)
+            UnknownName.reject("cosim tradeoff", kind, known, *names)
         backends = tuple(dict.fromkeys(choice(Backend, "backend", name) for name in self.backends))
         object.__setattr__(self, "backends", backends)
         for tolerance in self.tolerances:
