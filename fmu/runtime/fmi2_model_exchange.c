@@ -20,7 +20,7 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) {
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     const fmi2Status status =
         enter(c, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
-    if (status == fmi2OK) begin_watching(c);
+    if (status == fmi2OK) begin_piece(c);
     return status;
 }
 

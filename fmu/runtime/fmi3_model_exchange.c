@@ -25,7 +25,7 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
     const fmi3Status status =
         enter(instance, IN_ENTER_CONTINUOUS_TIME_MODE, __func__, CONTINUOUS_TIME_MODE);
-    if (status == fmi3OK) begin_watching(instance);
+    if (status == fmi3OK) begin_piece(instance);
     return status;
 }
 
