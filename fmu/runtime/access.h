@@ -8,6 +8,9 @@
 #include "evaluation.h"
 #include "events.h"
 #include "logging.h"
+#if ENCLOSED > 0
+#include "between_looks.h"
+#endif
 
 /* What must be fresh before a variable of a role is read. */
 static const unsigned needed_by[] = {
@@ -204,7 +207,21 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
         if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
+#if ENCLOSED > 0
+    const Status known = get_insides(self, values + N_LIMITS);
+    return known == OK ? look_between(self, values + N_LIMITS) : known;
+#else
     return N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
+#endif
+}
+
+static Status enter_continuous_time(Instance *self) {
+    self->state.mode = CONTINUOUS_TIME_MODE;
+#if ENCLOSED > 0
+    forget_looks(self);
+#endif
+    begin_watching(self);
+    return OK;
 }
 
 static Status get_nominals(Instance *self, double nominals[], size_t count) {
@@ -220,6 +237,7 @@ static Status set_states(Instance *self, const double x[], size_t count) {
     if (count != NX) return refuse(self, ERROR, "%zu given, the model has %d states", count, NX);
     if (count == 0) return OK;
     if (!x) return refuse(self, ERROR, "there are no values");
+    if (memcmp(self->state.values + FIRST_STATE, x, count * sizeof *x) == 0) return OK;
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
             return refuse(self, DISCARD, "%s = %g is not finite", variables[FIRST_STATE + i].name,

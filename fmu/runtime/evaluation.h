@@ -215,12 +215,6 @@ static void begin_watching(Instance *self) {
     if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
 }
 
-static Status enter_continuous_time(Instance *self) {
-    self->state.mode = CONTINUOUS_TIME_MODE;
-    begin_watching(self);
-    return OK;
-}
-
 /* Return `status` if the model has passed a singular configuration since the last check, or if
    what slides is moved by an importer that does not tell how. */
 static Status look_back(Instance *self, Status status) {

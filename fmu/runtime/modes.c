@@ -212,6 +212,17 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end,
     return how != FAILS;
 }
 
+Crossing left_between(Instance *self, const Motion *motion, double begin, double end,
+                      Place *found) {
+    SearchedStep step = {self, laws_of(self), motion};
+    Place before;
+    look_at(&step, begin, &before);
+    if (outside(&before) >= 0) return (Crossing){end, -1};
+    const Crossing crossing = crossing_between(look_at, stays, &step, before, end);
+    look_at(&step, crossing.time, found);
+    return crossing;
+}
+
 #else
 typedef int no_modes; /* C knows no empty file */
 #endif

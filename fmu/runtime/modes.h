@@ -39,6 +39,10 @@ static Status complete_step(Instance *self, Status severity);
    where the last fresh step failed. */
 static bool find_event(Instance *self, const Motion *motion, double begin, double end,
                        Crossing *crossing);
+
+/* The same on a motion of which no step can be made afresh; `found`: the margins there. */
+static Crossing left_between(Instance *self, const Motion *motion, double begin, double end,
+                             Place *found);
 #else
 static inline Status start_modes(Instance *self) {
     (void)self;

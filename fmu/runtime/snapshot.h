@@ -95,6 +95,11 @@ static bool plausible(const Instance *self, const State *state) {
     const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
     if (!all_finite((const double *)&state->before, BEFORE_SIZE)) return false;
+#if ENCLOSED > 0
+    const double left = state->looks.relation;
+    if (!all_finite((const double *)&state->looks, LOOKS_SIZE)) return false;
+    if (!(left >= 0 && left <= MODES && left == floor(left))) return false;
+#endif
     if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {

@@ -83,6 +83,24 @@ typedef struct {
 enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
 #endif
 
+#if ENCLOSED > 0
+/* The instance at a look of an importer of model exchange at the event indicators. */
+typedef struct {
+    double time, x[ROOM(NX)], dx[ROOM(NX)], u[ROOM(NU)];
+    double inside[MODES]; /* by how much relations are within their modes */
+} Glance;
+
+/* The last two looks since the last event; all of it doubles. */
+typedef struct {
+    double count; /* how many of them there are */
+    Glance last, before;
+    double relation, left; /* 1 + one that has left its mode between them, and when; 0: none */
+    double warned[MODES];  /* 1: its passing has been logged */
+} Looks;
+
+enum { LOOKS_SIZE = sizeof(Looks) / sizeof(double) };
+#endif
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
@@ -97,6 +115,9 @@ typedef struct {
 #if HAS_EVENTS
     Switching switching;
     Before before;
+#endif
+#if ENCLOSED > 0
+    Looks looks;
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */

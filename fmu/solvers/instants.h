@@ -129,19 +129,6 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
 
 #if ENCLOSED > 0
 
-/* Widens spans by those of a cubic, and of what it may be off. */
-static inline void span_cubic(const double a, const double b, const double slopes[2], double length,
-                              double defect, int i, Spans *spans) {
-    const double first = a + length * slopes[0] / 3, last = b - length * slopes[1] / 3;
-    const double middle = 3 * (last - first) / length;
-    spans->low[i] = fmin(spans->low[i], fmin(fmin(a, b), fmin(first, last)) - length * defect);
-    spans->high[i] = fmax(spans->high[i], fmax(fmax(a, b), fmax(first, last)) + length * defect);
-    spans->slowest[i] =
-        fmin(spans->slowest[i], fmin(middle, fmin(slopes[0], slopes[1])) - 2 * defect);
-    spans->fastest[i] =
-        fmax(spans->fastest[i], fmax(middle, fmax(slopes[0], slopes[1])) + 2 * defect);
-}
-
 /* Whether no relation leaves its mode from one row to a later one. */
 static inline bool rows_stay(Kernel *self, const MotionRows *rows, long long first,
                              long long last) {

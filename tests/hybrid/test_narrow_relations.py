@@ -1,7 +1,8 @@
 """Relations that are true for a small part of a step, against the times of a pendulum's motion."""
 
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import casadi as ca
 import fmpy
@@ -79,3 +80,35 @@ def test_co_simulation_does_not_step_over_a_narrow_relation(
         count, spent = expected(condition, width)
         assert rows["n"][-1] == count
         assert rows["y"][-1] == pytest.approx(spent, rel=0.02)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("kind", CONDITIONS)
+def test_model_exchange_does_not_step_over_a_narrow_relation(
+    kind: str, fmi: Literal[2, 3], tmp_path: Path
+) -> None:
+    condition = CONDITIONS[kind]
+    path = cosim.export_fmu(pendulum(condition), tmp_path / "narrow.fmu", fmi=fmi)
+    for width, master in zip(WIDTHS, ("c", "fmpy"), strict=True):
+        run = cosim.simulate_fmu(
+            path, interface="ModelExchange", master=master, start_values={"w": width}
+        )
+        count, spent = expected(condition, width)
+        assert run.final["n"] == count
+        assert run.final["y"] == pytest.approx(spent, rel=0.02)
+
+
+def test_importer_that_locates_no_events_is_warned_once(tmp_path: Path) -> None:
+    path = cosim.export_fmu(pendulum(CONDITIONS["between"]), tmp_path / "narrow.fmu")
+    log: list[bytes] = []
+    fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        solver="Euler",
+        stop_time=SPAN,
+        output_interval=0.01,  # the step, too
+        start_values={"w": 1e-4},
+        debug_logging=True,
+        logger=lambda *arguments: log.append(arguments[-1]),
+    )
+    assert sum(b"and returns within a step of the importer" in text for text in log) == 1

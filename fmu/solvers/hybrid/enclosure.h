@@ -66,6 +66,19 @@ static inline void enclose_motion(const Sample *samples, int i, double length, S
     found->fastest[i] = fastest;
 }
 
+/* Widens spans by those of a cubic, and of what it may be off. */
+static inline void span_cubic(const double a, const double b, const double slopes[2], double length,
+                              double defect, int i, Spans *spans) {
+    const double first = a + length * slopes[0] / 3, last = b - length * slopes[1] / 3;
+    const double middle = 3 * (last - first) / length;
+    spans->low[i] = fmin(spans->low[i], fmin(fmin(a, b), fmin(first, last)) - length * defect);
+    spans->high[i] = fmax(spans->high[i], fmax(fmax(a, b), fmax(first, last)) + length * defect);
+    spans->slowest[i] =
+        fmin(spans->slowest[i], fmin(middle, fmin(slopes[0], slopes[1])) - 2 * defect);
+    spans->fastest[i] =
+        fmax(spans->fastest[i], fmax(middle, fmax(slopes[0], slopes[1])) + 2 * defect);
+}
+
 /* By how much a guard is within its mode over a part of a step, from the span of its argument. */
 static inline Spanned guarded(const double ends[2][2], double sign, double boundary, double slack) {
     const double *first = sign > 0 ? ends[0] : ends[1], *last = sign > 0 ? ends[1] : ends[0];

@@ -139,6 +139,11 @@ PARTS = (
         lambda plan: plan.system is not None,
         ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
     ),
+    Part(
+        "relations that have bounds between two looks of an importer",
+        lambda plan: plan.system is not None and bool(plan.system.enclosures.relations),
+        ("between_looks.h", "cubic.h"),
+    ),
     Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h",)),
     Part(
         "constraints that may become singular",
