@@ -45,6 +45,7 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle --stop-time \x1b[31m1", r"invalid float value: '\\x1b\[31m1'"),
         ("extremes own.py:build", "has no extreme cases"),
         ("simulate bicycle --frob", "cannot take '--frob'; see: cosim simulate --help"),
+        ("simulate bicycle --inputs a.csv", "write --input-file or --input; see"),
         ("simulate bicycle crank_shaft", "cannot take 'crank_shaft'"),
         ("simulate bicycle --stop-time soon", "--stop-time: invalid float value: 'soon'"),
         ("simulate bicycle --stop-time 1,5", "--stop-time: invalid float value: '1,5'"),

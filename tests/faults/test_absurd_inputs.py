@@ -87,7 +87,7 @@ def test_a_compiler_that_writes_no_library_is_named(tmp_path):
 def test_an_exception_whose_text_fails_is_named(tmp_path):
     text = "class Odd(Exception):\n    def __str__(self): return 1 / 0\ndef build(): raise Odd\n"
     (tmp_path / "own.py").write_text(text)
-    with pytest.raises(UsageError, match=r"own.py:build failed: Odd$"):
+    with pytest.raises(UsageError, match=r"own.py:build failed \(line \d+\): Odd$"):
         load(f"{tmp_path}/own.py:build")
 
 

@@ -99,9 +99,9 @@ def test_what_is_no_name_is_refused(name):
     ("content", "told"),
     [
         (b"def build(:\n", "cannot be loaded: SyntaxError: invalid syntax (mine.py, line 1)"),
-        (b"import no_such_module\n", "cannot be loaded: ModuleNotFoundError: No module named"),
-        (b"raise ValueError('two\\nlines')\n", "cannot be loaded: ValueError: two lines"),
-        (b"import sys\nsys.exit(4)\n", "cannot be loaded: SystemExit: 4"),
+        (b"import no_such_module\n", "cannot be loaded (line 1): ModuleNotFoundError: No module"),
+        (b"raise ValueError('two\\nlines')\n", "cannot be loaded (line 1): ValueError: two lines"),
+        (b"import sys\nsys.exit(4)\n", "cannot be loaded (line 2): SystemExit: 4"),
         (b"\xff\xfe\x00", "cannot be loaded: SyntaxError"),
         (b"def build():\n\treturn 1\n        return 2\n", "cannot be loaded: TabError"),
     ],
@@ -147,10 +147,15 @@ def test_name_with_spaces_and_other_letters_is_read(tmp_path):
         ("pass", "build returned NoneType"),
         ("return Model('x')", "build returned Model"),
         ("yield 1", "build returned generator"),
-        ("raise KeyError('mass')", "build failed: KeyError: 'mass'"),
-        ("raise SystemExit(3)", "build failed: SystemExit: 3"),
-        ("return build()", "build failed: RecursionError"),
-        ("return ca.SX.sym('x', 2, 3) @ ca.SX.sym('y', 2)", "build failed: RuntimeError"),
+        ("raise KeyError('mass')", "build failed (line 6): KeyError: 'mass'"),
+        ("raise SystemExit(3)", "build failed (line 6): SystemExit: 3"),
+        ("return build()", "build failed (line 6): RecursionError"),
+        ("return ca.SX.sym('x', 2, 3) @ ca.SX.sym('y', 2)", "build failed (line 6): RuntimeError"),
+        (
+            "Model('x').when('stop', 1, {})",
+            "Model.when() takes 3 positional arguments but 4 were given; "
+            "write when(condition, values, *, name='')",
+        ),
         ("return Model('x').freeze()", "built a model without a state or an output; add one"),
         ("return ca.DaeBuilder('x')", "built a model without a state or an output; add one"),
         (

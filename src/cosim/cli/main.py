@@ -172,15 +172,18 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
     args, unknown = parser.parse_known_args(words)
     if unknown:  # argparse itself would name the help of all verbs
         message = f"cosim {args.verb}: cannot take '{unknown[0]}'"
-        message += _hint(unknown[0], words, args.verb, parser.verbs()[args.verb].options())
+        message += _hint(unknown[0], words, parser.verbs()[args.verb].options())
         Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
     return args
 
 
-_OTHER_NAMES = {("linearize", "--sweep"): "--along"}
+_OTHER_NAMES = {
+    "--sweep": ("--along",),
+    "--inputs": ("--input-file", "--input"),  # the keyword of Python's calls
+}
 
 
-def _hint(word: str, words: Sequence[str], verb: str, options: Sequence[str]) -> str:
+def _hint(word: str, words: Sequence[str], options: Sequence[str]) -> str:
     """Return what to write instead of a word that a verb does not take."""
     before = words[words.index(word) - 1] if word in words[1:] else ""
     if before.endswith(","):
@@ -188,8 +191,8 @@ def _hint(word: str, words: Sequence[str], verb: str, options: Sequence[str]) ->
     if "=" in word and not word.startswith("-"):
         return f"; repeat the option: -p {word}"
     name = word.partition("=")[0]
-    if other := _OTHER_NAMES.get((verb, name)):
-        return f"; write {other}"
+    if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
+        return f"; write {' or '.join(others)}"
     return did_you_mean(name, options)
 
 

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from inspect import Signature, signature
 from pathlib import Path
+from traceback import extract_tb
 from typing import TYPE_CHECKING, Any
 
 import casadi_models
@@ -40,7 +43,7 @@ def load_user_model(path: str, function: str) -> Dae:
     from cosim.model.foreign.named_symbols import identifier
 
     builder = _builder(path, function)
-    with _explained(f"{path}:{function} failed"):
+    with _explained(path, f"{path}:{function} failed"):
         built = builder()
     if isinstance(built, ca.DaeBuilder):
         built = from_dae_builder(built)
@@ -64,7 +67,7 @@ def _builder(path: str, function: str) -> Callable[[], Any]:
         raise UsageError(f"{path} is not a Python file; name one as PATH.py:FUNCTION")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # where dataclasses look their annotations up
-    with _explained(f"{path} cannot be loaded"):
+    with _explained(path, f"{path} cannot be loaded"):
         spec.loader.exec_module(module)
     builder = getattr(module, function, None)
     if not callable(builder):
@@ -75,8 +78,8 @@ def _builder(path: str, function: str) -> Callable[[], Any]:
 
 
 @contextmanager
-def _explained(what: str) -> Iterator[None]:
-    """Explain an exception of a user's code in one line."""
+def _explained(path: str, what: str) -> Iterator[None]:
+    """Explain an exception of a user's file in one line, with the line where it was raised."""
     try:
         yield
     except KeyboardInterrupt:
@@ -86,7 +89,24 @@ def _explained(what: str) -> Iterator[None]:
         if "truth value of a CasADi" in reason:
             reason = "Python's `if`, `and` and `not` cannot choose between symbols; "
             reason += "use casadi.if_else(x > 0, a, b), casadi.logic_and and casadi.logic_not"
-        raise UsageError(f"{what}: {reason}") from error
+        elif call := re.match(r"TypeError: \w+\.(\w+)\(\) (?:takes|missing|got)", reason):
+            reason = _wrong_call(call[1], reason)
+        own, trace = Path(path).resolve(), extract_tb(error.__traceback__)
+        lines = [at.lineno for at in trace if Path(at.filename).resolve() == own]
+        where = f" (line {lines[-1]})" if lines else ""
+        raise UsageError(f"{what}{where}: {reason}") from error
+
+
+def _wrong_call(method: str, reason: str) -> str:
+    """Add how a method of `Model` is called; its base classes are no names that users know."""
+    from casadi_models.dae import Model
+
+    if not hasattr(Model, method):
+        return reason
+    given = list(signature(getattr(Model, method)).parameters.values())[1:]
+    bare = [one.replace(annotation=one.empty) for one in given]
+    reason = re.sub(r"\w+\.", "Model.", reason, count=1)
+    return f"{reason}; write {method}{Signature(bare)}"
 
 
 _OTHER_FILES = {
@@ -167,7 +187,7 @@ def _unknown_model(name: str) -> UnknownName | UsageError:
     if slash and model in models:
         own = [e.partition("/")[2] for e in catalog if e.partition("/")[0] == model]
         return UnknownName.among(model, "formulation", formulation, own)
-    near = UnknownName.among("the catalogue", "model", model, models)
+    near = UnknownName.among("cosim", "model", model, models)
     return UnknownName(f"{near} (all: cosim list)")
 
 
