@@ -74,10 +74,7 @@ static bool stays_between_looks(Instance *self) {
     double z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Spans spans;
     memcpy(u, b->u, sizeof u);
-    for (int i = 0; i < NX + NU - MODES; i++) {
-        spans.low[i] = spans.slowest[i] = INFINITY;
-        spans.high[i] = spans.fastest[i] = -INFINITY;
-    }
+    clear_spans(&spans);
     for (int i = 0; i < NX; i++)
         span_cubic(a->x[i], b->x[i], (const double[]){a->dx[i], b->dx[i]}, length, 0, i, &spans);
     for (int i = 0; i < NU - MODES; i++) {

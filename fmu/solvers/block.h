@@ -23,7 +23,7 @@ typedef struct {
 /* A run that is left to the caller, or is complete; or what remains after the block. */
 enum { LEFT_ALONE, COMPLETE, NOT_BEGUN };
 
-enum { SAME_INSTANT = 32 }; /* units in the last place of a time */
+enum { SAME_INSTANT = 32 }; /* units in the last place of a time, as in location.py */
 enum { BLOCK_REPORT = 4 };  /* one of these codes, steps, right-hand sides, events */
 
 /* A run at a time: x, z and u, which holds the modes, are the values there. */

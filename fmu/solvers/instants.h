@@ -134,10 +134,7 @@ static inline bool rows_stay(Kernel *self, const MotionRows *rows, long long fir
                              long long last) {
     Spans spans;
     const double *inside = rows->inside + first * MODES;
-    for (int i = 0; i < NX + NU - MODES; i++) {
-        spans.low[i] = spans.slowest[i] = INFINITY;
-        spans.high[i] = spans.fastest[i] = -INFINITY;
-    }
+    clear_spans(&spans);
     for (long long k = first; k < last; k++) {
         const double length = rows->times[k + 1] - rows->times[k];
         const double *x = rows->x + k * NX, *dx = rows->dx + k * NX;

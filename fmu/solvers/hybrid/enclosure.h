@@ -66,6 +66,14 @@ static inline void enclose_motion(const Sample *samples, int i, double length, S
     found->fastest[i] = fastest;
 }
 
+/* Spans of nothing yet. */
+static inline void clear_spans(Spans *spans) {
+    for (int i = 0; i < NX + NU - MODES; i++) {
+        spans->low[i] = spans->slowest[i] = INFINITY;
+        spans->high[i] = spans->fastest[i] = -INFINITY;
+    }
+}
+
 /* Widens spans by those of a cubic, and of what it may be off. */
 static inline void span_cubic(const double a, const double b, const double slopes[2], double length,
                               double defect, int i, Spans *spans) {

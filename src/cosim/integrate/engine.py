@@ -18,6 +18,8 @@ from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
 from cosim.text import Ending, EndKind
 
+_ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
+
 
 class Counts(NamedTuple):
     """Numbers of steps and calls; `cause` is why the solver failed, if it reports that."""
@@ -114,6 +116,12 @@ def event_type(system: Hybrid) -> np.dtype[np.void]:
     side = np.dtype([(name, float, (size,)) for name, size in sides])
     more = ("zero", float, (m,)), ("order", float, (len(system.events),))
     return np.dtype([("time", float), ("before", side), ("after", side), *more])
+
+
+def room_for_events(system: Hybrid) -> NDArray[np.void]:
+    """Return an array for the events that one call of a solver goes through."""
+    record = event_type(system)
+    return np.empty(1 + _ROOM_FOR_EVENTS // record.itemsize, record)
 
 
 class Left(NamedTuple):

@@ -136,7 +136,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     plain = attempt(grid, np.empty(0))
     steps = _counted(plain)
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
-    if plain.reason or len(plain.time) < 2 or not has_terms(dae):
+    if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
         return plain
     rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
     motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
@@ -180,7 +180,7 @@ def unquestioned(motion: Motion, p: Vector, dae: Dae) -> Motion | None:
         motion: The first motion that `attentive` looks at.
         p, dae: See `attentive`.
     """
-    if not has_terms(dae):
+    if not _has_terms(dae):
         return motion
     steps = _counted(motion)
     if len(motion.time) < 2 * steps or _found(dae, motion, p, steps):
@@ -211,8 +211,7 @@ def _counted(motion: Motion) -> int:
     return min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
 
 
-def has_terms(dae: Dae) -> bool:
-    """Return whether a model has terms of time or a state, which steps may pass over."""
+def _has_terms(dae: Dae) -> bool:
     return bool(_terms_of(dae)) or several_terms_of(dae) is not None
 
 
@@ -262,7 +261,7 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     if len(motion.time) < 2 or motion.reason:
         return motion
     steps = _counted(motion)
-    found = _found(motion.dae, motion, p, steps) if has_terms(motion.dae) else []
+    found = _found(motion.dae, motion, p, steps) if _has_terms(motion.dae) else []
     if not found:
         return motion
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")

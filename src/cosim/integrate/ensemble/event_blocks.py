@@ -21,11 +21,11 @@ from cosim.codegen.runge_kutta.explicit_library import work_space
 from cosim.errors import InitialConditionError
 from cosim.host.progress import doing
 from cosim.host.signals import interrupt_noticed, interruptible
-from cosim.integrate.engine import Counts, event_type
+from cosim.integrate.engine import Counts, room_for_events
 from cosim.integrate.ensemble.ensemble import Row
-from cosim.integrate.ensemble.lanes import nominal_sizes
+from cosim.integrate.ensemble.lanes import nominal_sizes, within_bounds
 from cosim.integrate.events import records_of
-from cosim.integrate.families.explicit import ROOM_FOR_EVENTS, Dop853, block_library
+from cosim.integrate.families.explicit import Dop853, block_library
 from cosim.integrate.growth import growth_in
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.location import Passed, passed_events
@@ -80,8 +80,7 @@ def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Tru
     dae, t = prepared.problem.dae, float(prepared.problem.grid[0])
     x, z = values.x.copy(), np.empty((len(values), len(dae.algebraics)))
     if not (dae.start_rules or dae.algebraics):
-        low, high = ([getattr(v, end) for v in dae.states] for end in ("minimum", "maximum"))
-        return x, z, np.asarray(((x >= low) & (x <= high)).all(axis=1))
+        return x, z, within_bounds(dae, x)
     begins = np.ones(len(values), dtype=bool)
     for run in range(len(values)):
         try:
@@ -123,8 +122,7 @@ class EventBlocks:
         dae, n = system.dae, len(prepared.problem.grid)
         per_run = n * (dae.x.numel() + dae.z.numel() + dae.u.numel())
         self._size = max(1, _NUMBERS // per_run)
-        record = event_type(system)
-        self._records = np.empty(1 + ROOM_FOR_EVENTS // record.itemsize, record)
+        self._records = room_for_events(system)
         self._next = 0  # the first run that no block holds yet
         self._interrupted = False
         self._ready = dict[int, Row]()

@@ -61,10 +61,14 @@ def lane_starts(
     if dae.start_rules:
         addresses = (row.ctypes.data for row in (x, u, p, defect))
         library.lanes_start(len(x), t, *addresses)
+    return within_bounds(dae, x) & (defect < DEFECT_LIMIT)
+
+
+def within_bounds(dae: Dae, x: Vector) -> Truths:
+    """Return which initial values, SI, (runs, nx), are within the bounds of a model's states."""
     low = np.array([v.minimum for v in dae.states])
     high = np.array([v.maximum for v in dae.states])
-    good: Truths = ((x >= low) & (x <= high)).all(axis=1) & (defect < DEFECT_LIMIT)
-    return good
+    return np.asarray(((x >= low) & (x <= high)).all(axis=1))
 
 
 def run_lanes(

@@ -30,14 +30,12 @@ from cosim.integrate.engine import (
     Filled,
     Left,
     Problem,
-    event_type,
     reported,
+    room_for_events,
 )
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver
-
-ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,10 +171,9 @@ class DirectCall:
         self._run, self._constants, self._library = library.run, constants, library
         self._events = None
         if system is not None:
-            record = event_type(system)
-            room = 1 + ROOM_FOR_EVENTS // record.itemsize
+            room = room_for_events(system)
             # others need what only the caller knows
-            self._events = np.empty(0 if system.sliding or system.dae.derived else room, record)
+            self._events = room[:0] if system.sliding or system.dae.derived else room
         library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong
         self._work = work_space(library)
         self._p: bytes | None = None
