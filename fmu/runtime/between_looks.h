@@ -104,12 +104,11 @@ static Status look_between(Instance *self, double insides[]) {
     const Motion motion = {self, between_looks, NULL};
     const double now = looks->last.time;
     Place place;
-    const Crossing found = left_between(self, &motion, looks->before.time, now, &place);
-    if (found.relation < 0) return OK;
-    looks->relation = 1 + found.relation;
-    looks->left = found.time;
-    insides[places[found.relation]] =
-        fmin(place.rates[found.relation] * (now - found.time), -DBL_MIN);
+    const int i = left_between(self, &motion, looks->before.time, now, &place);
+    if (i < 0) return OK;
+    looks->relation = 1 + i;
+    looks->left = place.t;
+    insides[places[i]] = fmin(place.rates[i] * (now - place.t), -DBL_MIN);
     return OK;
 }
 

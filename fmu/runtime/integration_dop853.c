@@ -174,11 +174,13 @@ static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory,
     const Motion motion = {&last, within_step, step_again};
     Crossing crossing;
     memory->crossing = 0;
-    if (!find_event(self->fmu, &motion, memory->until, *after, &crossing)) return false;
+    const bool goes_on = memory->rested > 0 && *after < next_event(self->fmu);
+    if (!find_event(self->fmu, &motion, memory->until, *after, goes_on, &crossing)) return false;
     if (crossing.relation < 0) return true;
     if (!(last.error <= 1)) return false;
     memcpy(x, last.x, sizeof last.x);
     memory->crossing = crossing.relation + 1;
+    memory->since = crossing.since;
     *after = crossing.time;
     return true;
 }
@@ -289,7 +291,7 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
         memset(memory, 0, sizeof *memory);
         return WAITS;
     }
-    if (memory->until >= end && memory->crossing == 0) remember_instant(fmu);
+    if (memory->until >= end) remember_instant(fmu);
     if (handle_instant(fmu, (int)memory->crossing - 1, &outcome) != OK || outcome.ends)
         return FAILED;
     if (refresh(fmu, ALGEBRAICS) != OK) return FAILED;
@@ -348,6 +350,7 @@ bool integrate_to(Instance *self, double end) {
         double until = ahead;
 #if HAS_EVENTS
         end = end_with_event(self, end);
+        if (memory->crossing > 0 && memory->since <= end) end = fmax(end, memory->until);
         const int how =
             memory->until <= end ? pass_event(&ode, &problem, memory, end, ahead) : WENT_ON;
         if (how == FAILED) return false;

@@ -154,7 +154,9 @@ static bool end_at_crossing(Instance *self, const State *from, int *relation) {
     cubic.to = &to;
     const Motion motion = {&cubic, within_step, step_again};
     Crossing crossing;
-    if (!find_event(self, &motion, from->values[TIME], to.values[TIME], &crossing)) return false;
+    const double begin = from->values[TIME], end = to.values[TIME];
+    const bool goes_on = inputs_rest(self) && end < next_event(self);
+    if (!find_event(self, &motion, begin, end, goes_on, &crossing)) return false;
     *relation = crossing.relation;
     if (crossing.relation >= 0) return true;
     const Switching noted = self->state.switching;
@@ -182,7 +184,7 @@ bool integrate_to(Instance *self, double end) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
             if (leave_to_importer(self, relation)) return true;
-            if (*time >= end && relation < 0) remember_instant(self);
+            if (*time >= end) remember_instant(self);
             if (handle_instant(self, relation, &outcome) != OK || outcome.ends) return false;
             relation = -1;
             continue;

@@ -137,10 +137,15 @@ Status get_insides(Instance *self, double inside[]) {
     const Status status = look_now(self, &seen);
     if (status != OK) return status;
     const Laws laws = laws_of(self);
+    const Switching *s = &self->state.switching;
+    const double *values = self->state.values;
     double all[ROOM(MODES)], rates[ROOM(MODES)];
-    measure(&laws, &self->state.switching, self->state.values + FIRST_MODE, &seen, all, rates);
-    for (int i = 0, k = 0; i < MODES; i++)
-        if (!relation_table[i].of_time) inside[k++] = all[i];
+    measure(&laws, s, values + FIRST_MODE, &seen, all, rates);
+    for (int i = 0, k = 0; i < MODES; i++) {
+        if (relation_table[i].of_time) continue;
+        const bool passing = is_passing(s, values[TIME], i, all[i], rates[i]);
+        inside[k++] = passing ? fmin(all[i], -s->slack[i]) : all[i];
+    }
     return OK;
 }
 
@@ -196,7 +201,7 @@ static void let_go(SearchedStep *self, double end) {
         note_inside(&self->laws, s, modes_of(&at), seen.arguments);
 }
 
-bool find_event(Instance *self, const Motion *motion, double begin, double end,
+bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
                 Crossing *crossing) {
     SearchedStep step = {self, laws_of(self), motion};
     Switching *s = &self->state.switching;
@@ -207,20 +212,17 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end,
     note_slack(&step.laws, s, &at);
     margins_at(&step.laws, s, &at, &before);
     const Located how =
-        find_crossing(look_at, stays, step_afresh, &step, s->slack, begin, before, end, crossing);
+        find_crossing(look_at, stays, step_afresh, &step, s, begin, before, end, goes_on, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
     return how != FAILS;
 }
 
-Crossing left_between(Instance *self, const Motion *motion, double begin, double end,
-                      Place *found) {
+int left_between(Instance *self, const Motion *motion, double begin, double end, Place *found) {
     SearchedStep step = {self, laws_of(self), motion};
     Place before;
     look_at(&step, begin, &before);
-    if (outside(&before) >= 0) return (Crossing){end, -1};
-    const Crossing crossing = crossing_between(look_at, stays, &step, before, end);
-    look_at(&step, crossing.time, found);
-    return crossing;
+    *found = before;
+    return outside(&before) >= 0 ? -1 : crossing_between(look_at, stays, &step, before, end, found);
 }
 
 #else

@@ -36,13 +36,14 @@ static Status get_insides(Instance *self, double inside[]);
 static Status complete_step(Instance *self, Status severity);
 
 /* The first crossing of a relation within a step, where fresh steps cross; relation -1: none. False
-   where the last fresh step failed. */
-static bool find_event(Instance *self, const Motion *motion, double begin, double end,
+   where the last fresh step failed. `goes_on`: beyond its end the motion goes on as it is. */
+static bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
                        Crossing *crossing);
 
-/* The same on a motion of which no step can be made afresh; `found`: the margins there. */
-static Crossing left_between(Instance *self, const Motion *motion, double begin, double end,
-                             Place *found);
+/* The relation that leaves its mode first on a motion of which no step can be made afresh, or -1;
+   `found`: the margins there. */
+static int left_between(Instance *self, const Motion *motion, double begin, double end,
+                        Place *found);
 #else
 static inline Status start_modes(Instance *self) {
     (void)self;

@@ -17,6 +17,7 @@ typedef struct {
     double leaves[ROOM(N_LIMITS)]; /* when it leaves each limit first; DBL_MAX: never */
 #if HAS_EVENTS
     double crossing; /* relation that leaves its mode where the last step ended, from 1 on; or 0 */
+    double since;    /* from then on, only rounding is between it and its boundary */
 #endif
 } SolverMemory;
 #else

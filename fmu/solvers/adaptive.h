@@ -58,11 +58,16 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
     double x[NX], end[NX], t = grid->times[0];
     Watch *watch = MODES > 0 ? self->watch : NULL;
     Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    Step step = {
-        watch,   t,           0,  &accepted, within_accepted, step_afresh, (const double (*)[NX])k,
-        END + 1, grid->times, {0}};
-    Place here, ahead;
     const double stop = grid->times[grid->points - 1];
+    Step step = {.watch = watch,
+                 .known = stop,
+                 .motion = &accepted,
+                 .within = within_accepted,
+                 .step_to = step_afresh,
+                 .slopes = (const double (*)[NX])k,
+                 .stages = END + 1,
+                 .looked = grid->times};
+    Place here, ahead;
     long long next = 1, trials = 0;
     int rejected = 0;
     memcpy(x, out, sizeof x);
@@ -98,7 +103,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         accepted.t = t;
         accepted.h = h;
         accepted.known = 0;
-        Crossing crossing = {after, -1};
+        Crossing crossing = {after, -1, after};
         if (watch) {
             double z_end[NZ + 1];
             step.t = t;

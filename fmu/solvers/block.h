@@ -143,12 +143,17 @@ static inline int advance_run(BlockRun *self) {
     memcpy(self->x, rows + (n - 1) * NX, NX * sizeof *rows);
     memcpy(self->z, unknowns + (n - 1) * NZ, NZ * sizeof *rows);
     let_go_at_end(self);
+    double zero[MODES + 1] = {0};
     if (end == due) {
-        double zero[MODES + 1] = {0};
         const Switching *s = &self->switching;
         for (int i = 0; i < MODES; ++i) zero[i] = fabs(s->due[i] - s->next) <= 8 * ulp(s->next);
         return let_happen(self, zero);
     }
+    const Point at = {self->t, self->x, self->z, self->u};
+    Place place;
+    if (margins_at(&self->watch.laws, &self->switching, &at, &place) &&
+        leaving_at(&self->switching, &place) >= 0)
+        return let_happen(self, zero);
     write_present(self);
     return 0;
 }

@@ -127,6 +127,20 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
     }
 }
 
+/* The relation that leaves its mode at each of n rows, or -1. */
+SHARED void cosim_leaving(Call *call, long long n, const double *times, const double *inside,
+                          const double *towards, double *found) {
+    Kernel self;
+    Place place;
+    open_kernel(&self, call);
+    for (long long k = 0; k < n; k++) {
+        place.t = times[k];
+        memcpy(place.inside, inside + k * MODES, MODES * sizeof *inside);
+        memcpy(place.rates, towards + k * MODES, MODES * sizeof *towards);
+        found[k] = leaving_at(self.switching, &place);
+    }
+}
+
 #if ENCLOSED > 0
 
 /* Whether no relation leaves its mode from one row to a later one. */
@@ -208,13 +222,13 @@ static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
 SHARED long long cosim_search(Call *call, const MotionRows *rows, double *time) {
     Kernel self;
     Cubic cubic = {&self, rows};
-    Place before;
+    Place before, place;
     open_kernel(&self, call);
     look_on_cubic(&cubic, rows->times[0], &before);
-    const Crossing found =
-        crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, rows->times[1]);
-    *time = found.time;
-    return found.relation;
+    const int found =
+        crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, rows->times[1], &place);
+    *time = place.t;
+    return found;
 }
 
 #endif

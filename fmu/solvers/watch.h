@@ -27,7 +27,7 @@ typedef struct {
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
     Watch *watch;
-    double t, h;
+    double t, h, known; /* known: the motion goes on as it is up to this time */
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
@@ -187,12 +187,12 @@ static inline void look_closely_at(const Step *self, Place *first, Place *last) 
  * fails. */
 static inline int crossing_of(Step *self, const double *x, const double *times, double *columns,
                               const Place *begin, Place *end, Crossing *found) {
-    const double *slack = self->watch->switching->slack;
+    const Switching *s = self->watch->switching;
     Place before = *begin, place;
     const bool proven = outside(begin) < 0 && outside(end) < 0 &&
                         (stays_by_slopes(self, x, begin, end) || stays(self, begin, end));
     self->looked = times;
-    *found = (Crossing){end->t, -1};
+    *found = (Crossing){end->t, -1, end->t};
     for (const double *time = times; before.t < end->t; before = place) {
         while (*time <= before.t && *time < end->t) ++time;
         if (*time < end->t) {
@@ -201,16 +201,17 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
         } else {
             place = *end;
         }
-        if (!is_suspect(&before, &place, slack) && (proven || stays(self, &before, &place)))
+        const bool goes_on = place.t < self->known;
+        if (!is_suspect(s, &before, &place, goes_on) && (proven || stays(self, &before, &place)))
             continue;
         look_closely_at(self, &before, &place);
-        if (find_crossing(look_within, stays, step_freshly, self, slack, self->t, before, place.t,
-                          found) == FAILS)
+        if (find_crossing(look_within, stays, step_freshly, self, s, self->t, before, place.t,
+                          goes_on, found) == FAILS)
             return 1;
         if (found->relation >= 0) return 0;
         if (place.t == end->t) *end = place;
     }
-    *found = (Crossing){end->t, -1};
+    *found = (Crossing){end->t, -1, end->t};
     return 0;
 }
 

@@ -191,15 +191,17 @@ static bool step(void *motion, double t, Place *found) {
 }
 
 static void a_crossing_is_located_and_a_touch_is_none(void) {
-    const double slack[MODES + 1] = {0};
+    const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     Parabola crosses = {0.01, 0.01}, touches = {1e-9, -1e-9};
     look(&crosses, 0, &before);
-    assert(find_crossing(look, proven, step, &crosses, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look, proven, step, &crosses, &fresh, 0, before, 1, true, &found) ==
+           CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
     look(&touches, 0, &before);
-    assert(find_crossing(look, proven, step, &touches, slack, 0, before, 1, &found) == CROSSES);
+    assert(find_crossing(look, proven, step, &touches, &fresh, 0, before, 1, true, &found) ==
+           CROSSES);
     assert(found.relation < 0);
 }
 
@@ -227,14 +229,14 @@ static bool has_no_dip(void *motion, const Place *a, const Place *b) {
 }
 
 static void what_bounds_do_not_exclude_is_looked_at_closely(void) {
-    const double slack[MODES + 1] = {0};
+    const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     look_at_dip(NULL, 0, &before);
-    assert(find_crossing(look_at_dip, proven, step_into_dip, NULL, slack, 0, before, 1, &found) ==
-           CROSSES);
+    assert(find_crossing(look_at_dip, proven, step_into_dip, NULL, &fresh, 0, before, 1, true,
+                         &found) == CROSSES);
     assert(found.relation < 0);
-    assert(find_crossing(look_at_dip, has_no_dip, step_into_dip, NULL, slack, 0, before, 1,
+    assert(find_crossing(look_at_dip, has_no_dip, step_into_dip, NULL, &fresh, 0, before, 1, true,
                          &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - (AT - WIDTH)) < 1e-15);
 }
@@ -255,13 +257,13 @@ static bool step_both(void *motion, double t, Place *found) {
 }
 
 static void what_has_left_and_comes_back_was_first(void) {
-    const double slack[MODES + 1] = {0};
+    const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     Parabola motion = {0, 0.01};
     look_late(&motion, 0, &before);
-    assert(find_crossing(look_late, proven, step_both, &motion, slack, 0, before, 1, &found) ==
-           CROSSES);
+    assert(find_crossing(look_late, proven, step_both, &motion, &fresh, 0, before, 1, true,
+                         &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
 }
 

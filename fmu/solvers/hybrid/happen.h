@@ -112,6 +112,10 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
+    double wait = 0; /* until all that only rounding keeps within its mode has left it */
+    for (int i = 0; i < MODES; i++)
+        if (is_passing(s, t, i, inside[i], rates[i]))
+            wait = fmax(wait, (inside[i] - s->slack[i]) / -rates[i]);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         if (later[i]) {
@@ -131,8 +135,8 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {
             const double speed = fabs(rates[i]) * scale, gap = inside[i] - s->slack[i];
-            const bool crossed =
-                gap <= 8 * DBL_EPSILON * speed && gap >= -SAME_TIME * speed - 2 * s->slack[i];
+            const double ahead = fmax(8 * DBL_EPSILON * speed, -rates[i] * wait);
+            const bool crossed = gap <= ahead && gap >= -SAME_TIME * speed - 2 * s->slack[i];
             /* where rates of inputs are unknown, an argument that has passed its boundary against
              * the known rate has been moved there, and its value decides */
             const double past = past_boundary(laws, s, &seen, i);

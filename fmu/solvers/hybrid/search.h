@@ -48,11 +48,25 @@ typedef bool Stays(void *motion, const Place *a, const Place *b);
 typedef struct {
     double time;
     int relation; /* -1: none */
+    double since; /* from then on, only rounding is between the argument and its boundary */
 } Crossing;
 
 static inline int outside(const Place *place) {
     for (int i = 0; i < MODES; ++i)
         if (place->inside[i] < 0) return i;
+    return -1;
+}
+
+/* What rounding of the time makes of a margin at a place. */
+static inline double rounding_of_time(const Place *place, int i) {
+    return 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
+}
+
+/* The relation that leaves its mode at a place, such as an output time, whatever side rounding has
+ * left it on; -1: none. */
+static inline int leaving_at(const Switching *s, const Place *place) {
+    for (int i = 0; i < MODES; ++i)
+        if (is_passing(s, place->t, i, place->inside[i], place->rates[i])) return i;
     return -1;
 }
 
@@ -76,19 +90,18 @@ static inline double better_time(Bounds *self, double t, double inside, double r
     return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
 }
 
-/* Between a place within all modes and one that is not, to the rounding of time. */
-static inline Crossing narrow(LookAt *look, void *motion, double low, Place high) {
+/* Moves a place that is not within all modes back to one that is, to the rounding of time. */
+static inline void narrow(LookAt *look, void *motion, double low, Place *high) {
     Place place;
     for (int n = 0; n < MOST_HALVINGS; ++n) {
-        const double middle = low + (high.t - low) / 2;
-        if (!(middle > low && middle < high.t)) break;
+        const double middle = low + (high->t - low) / 2;
+        if (!(middle > low && middle < high->t)) break;
         look(motion, middle, &place);
         if (outside(&place) >= 0)
-            high = place;
+            *high = place;
         else
             low = middle;
     }
-    return (Crossing){high.t, outside(&high)};
 }
 
 /* May a relation that first falls and then rises have been outside between two places? */
@@ -104,15 +117,17 @@ static inline int may_dip(const Place *a, const Place *b, int i, double shallow)
     return least < shallow * most;
 }
 
-/* Whether a relation has, or may have, left its mode between two places, be it by rounding. */
-static inline int is_suspect(const Place *a, const Place *b, const double slack[]) {
+/* Whether a relation has, or may have, left its mode between two places, be it by rounding;
+ * `goes_on`: the motion goes on as it is. */
+static inline int is_suspect(const Switching *s, const Place *a, const Place *b, bool goes_on) {
+    const double *slack = s->slack;
     Place first = *a, last = *b;
     for (int i = 0; i < MODES; ++i) {
         first.inside[i] -= slack[i];
         last.inside[i] -= slack[i];
         if (last.inside[i] < 0 || may_dip(&first, &last, i, SHALLOW)) return 1;
     }
-    return 0;
+    return goes_on && leaving_at(s, b) >= 0;
 }
 
 /* The place where a relation is least. */
@@ -152,26 +167,25 @@ static inline bool find_outside(LookAt *look, Stays *stays, void *motion, Place 
     return false;
 }
 
-/* The first crossing after a place, up to a time. */
-static inline Crossing crossing_between(LookAt *look, Stays *stays, void *motion, Place before,
-                                        double end) {
+/* The relation that is outside first after a place, up to a time, or -1; `found`: where it is so,
+ * or the end. */
+static inline int crossing_between(LookAt *look, Stays *stays, void *motion, Place before,
+                                   double end, Place *found) {
     const double from = before.t;
     int parts = MOST_ENCLOSED;
-    Place place;
-    if (outside(&before) >= 0) return (Crossing){from, outside(&before)};
-    for (int k = 1; k <= PLACES; ++k) {
-        look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, &place);
-        for (int i = 0; i < MODES && outside(&place) < 0; ++i)
-            if (may_dip(&before, &place, i, SHALLOW_PART)) {
-                const Place least = bottom(look, motion, i, before, place);
-                if (least.inside[i] < 0) place = least;
+    *found = before;
+    for (int k = 1; k <= PLACES && outside(found) < 0; ++k) {
+        before = *found;
+        look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, found);
+        for (int i = 0; i < MODES && outside(found) < 0; ++i)
+            if (may_dip(&before, found, i, SHALLOW_PART)) {
+                const Place least = bottom(look, motion, i, before, *found);
+                if (least.inside[i] < 0) *found = least;
             }
-        Place first = place;
-        if (outside(&place) >= 0 || find_outside(look, stays, motion, &before, &first, &parts))
-            return narrow(look, motion, before.t, first);
-        before = place;
+        if (outside(found) >= 0 || find_outside(look, stays, motion, &before, found, &parts))
+            narrow(look, motion, before.t, found);
     }
-    return (Crossing){end, -1};
+    return outside(found);
 }
 
 /* -- the end of a step at a crossing ---------------------------------------------------------- */
@@ -180,11 +194,6 @@ static inline Crossing crossing_between(LookAt *look, Stays *stays, void *motion
 typedef bool FreshStep(void *motion, double t, Place *found);
 
 typedef enum { CROSSES, TOUCHES, FAILS } Located;
-
-/* What rounding of the time makes of a margin at a place. */
-static inline double rounding_of_time(const Place *place, int i) {
-    return 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
-}
 
 /* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
  * that is outside and comes back has crossed before all that are on their way out. */
@@ -217,6 +226,8 @@ static inline Located locate(FreshStep *fresh, void *motion, const double slack[
         const int i = crossing->relation = first_at(&place, slack, crossing->relation);
         left = place.inside[i] - slack[i];
         most = slack[i] + rounding_of_time(&place, i);
+        const double longest = fmin(t - begin, SAME_TIME * fabs(t));
+        crossing->since = place.rates[i] < 0 ? t - fmin(most / -place.rates[i], longest) : t;
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
         if (crossing->time != t) continue;
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
@@ -235,19 +246,22 @@ static inline bool inside_again(LookAt *look, void *motion, double touch, double
     return false;
 }
 
-/* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. */
+/* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. At
+ * that time, relations leave by rounding only where the motion goes on as it is. */
 static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh, void *motion,
-                                    const double slack[], double begin, Place before, double end,
-                                    Crossing *found) {
+                                    const Switching *s, double begin, Place before, double end,
+                                    bool goes_on, Crossing *found) {
+    Place place;
     for (int touches = 0; touches < PLACES; ++touches) {
-        *found = crossing_between(look, stays, motion, before, end);
-        if (found->relation < 0) return CROSSES;
-        const double touch = found->time;
-        const Located how = locate(fresh, motion, slack, begin, end, found);
+        int relation = crossing_between(look, stays, motion, before, end, &place);
+        if (relation < 0 && goes_on) relation = leaving_at(s, &place);
+        if (relation < 0) break;
+        *found = (Crossing){place.t, relation, place.t};
+        const Located how = locate(fresh, motion, s->slack, begin, end, found);
         if (how != TOUCHES) return how;
-        if (!inside_again(look, motion, touch, end, &before)) break;
+        if (!inside_again(look, motion, place.t, end, &before)) break;
     }
-    *found = (Crossing){end, -1};
+    *found = (Crossing){end, -1, end};
     return CROSSES;
 }
 

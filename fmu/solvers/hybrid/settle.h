@@ -80,6 +80,14 @@ static inline void measure(const Laws *laws, const Switching *s, const double mo
     }
 }
 
+/* Whether only rounding is between an argument and its boundary, be it that it is within its mode
+ * yet, and it passes all that rounding makes of it in a time that is none. */
+static inline bool is_passing(const Switching *s, double t, int i, double inside, double rate) {
+    const double way = -rate * time_scale(s, t), slack = s->slack[i];
+    return s->state[i] != SLIDES && inside <= 2 * slack + 8 * DBL_EPSILON * way &&
+           slack <= SAME_TIME * way;
+}
+
 /* Boundaries are where the author wrote them: what has been inside since its event is free. */
 static inline void note_inside(const Laws *laws, Switching *s, const double modes[],
                                const double arguments[]) {

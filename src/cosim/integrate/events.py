@@ -262,6 +262,8 @@ class _Course:
         if end in (due, jump, rest):
             following = self._with_inputs(arrived) if end in (jump, rest) else arrived
             self._switch(following, self._due_relations() if end == due else frozenset())
+        elif piece.leaves_at_end():
+            self._switch(self._with_inputs(arrived), frozenset())
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)

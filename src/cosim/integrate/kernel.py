@@ -304,6 +304,19 @@ class Kernel:
         self._library.cosim_margins(ctypes.byref(self._call), _LONG(len(inside)), *places)
         return inside, towards
 
+    def leaving(self, times: Vector, inside: Vector, towards: Vector) -> NDArray[np.intp]:
+        """Return which relation leaves its mode at each time, but for rounding; -1 for none, (n,).
+
+        Args:
+            times: s, (n,).
+            inside, towards: As `margins` returns them, (n, m).
+        """
+        found = np.empty(len(times))
+        rows = [np.ascontiguousarray(a) for a in (times, inside, towards)]
+        places = (_PLACE(a.ctypes.data) for a in (*rows, found))
+        self._library.cosim_leaving(ctypes.byref(self._call), _LONG(len(times)), *places)
+        return found.astype(np.intp)
+
     def stay(self, rows: "Rows") -> NDArray[np.bool_]:
         """Return from which of n rows to the next one no relation leaves its mode, (n - 1,)."""
         found = np.ones(len(rows.times) - 1)

@@ -254,6 +254,15 @@ class Piece:
             return np.ones(len(self.times) - 1, dtype=bool)
         return self.kernel.stay(self.rows(inside, 0, len(self.times)))
 
+    def leaves_at_end(self) -> bool:
+        """Return whether only rounding is between a relation and its boundary at the end."""
+        if self.kernel is None or not self.system.of_states:
+            return False
+        last = slice(-1, None)
+        inside, towards = self.margins(self.watched(self.times[last], self.x[last], self.z[last]))
+        found = self.kernel.leaving(self.times[last], inside + self.noise, towards)
+        return bool(found[0] >= 0)
+
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
         if self.kernel is not None and len(self.times) > 1:
@@ -357,13 +366,22 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         near = 0.5 if closely else 0.1
         dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
     seen = np.asarray((outside | dips).any(axis=1))
-    for k in np.flatnonzero(seen | ~piece.stay(inside)).tolist():
-        if closely and not outside[k].any():
+    assert piece.kernel is not None
+    leaving = piece.kernel.leaving(piece.times, inside, towards)[1:]
+    leaving[-1] = -1  # what follows may move otherwise
+    doubtful = seen | ~piece.stay(inside)
+    for k in np.flatnonzero(doubtful | (leaving >= 0)).tolist():
+        if not doubtful[k]:
+            found = None
+        elif closely and not outside[k].any():
             found = located(piece.within(k), closely=False)
         elif seen[k]:
             found = _in_interval(piece, k, np.flatnonzero(outside[k] | dips[k]))
         else:
             found = _unproven(piece, k, inside)
+        if found is None and leaving[k] >= 0:
+            t, x, z = (rows[k + 1 : k + 2] for rows in (piece.times, piece.x, piece.z))
+            found = _at_event(piece, t[0], x[0], piece.watched(t, x, z), int(leaving[k]))
         if found is not None:
             return found
     return None

@@ -1,0 +1,115 @@
+"""States that reach a boundary at an output time, or at the last one, on every backend.
+
+There, rounding alone tells on which side the solver's state is. The event belongs to the time: what
+it changes is in that row.
+"""
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Slave
+
+import cosim
+
+SOLVERS = ["dop853", "cvodes", "idas", "rk4", "ode8", "erk", "rosenbrock"]
+INTERFACES = [(fmi, kind) for fmi in (2, 3) for kind in ("CoSimulation", "ModelExchange")]
+INTERVAL, STOP = 0.5, 3.0  # s
+ROWS = np.arange(0, STOP + INTERVAL / 2, INTERVAL)
+FOLDER = Path(mkdtemp())
+
+
+@cache
+def clock():
+    """Return x = t, the whole seconds as a floor, and what counts the third one."""
+    model = cosim.Model("clock", stop_time=STOP, output_interval=INTERVAL)
+    x = model.state("x", "1", 0.0, "time")
+    y = model.state("y", "1", 0.0, "integral of the whole seconds")
+    n, m = (model.discrete(name, "1", 0.0, name) for name in "nm")
+    model.derivative(x, 1.0)
+    model.derivative(y, ca.floor(x))
+    model.when(x >= 3, {n: n + 1}, name="three")
+    model.when(ca.floor(2 * x) >= 6, {m: m + 1}, name="six halves")
+    model.output("whole", "1", ca.floor(x), "whole seconds")
+    return model.freeze()
+
+
+@cache
+def exported(fmi):
+    return cosim.export_fmu(clock(), FOLDER / f"clock_{fmi}.fmu", fmi=fmi)
+
+
+def assert_all_at_its_time(time, whole, counts):
+    """Assert that rows hold what happens at their times; of equal times, the last one tells."""
+    last = [np.flatnonzero(time <= t * (1 + 1e-12))[-1] for t in ROWS]
+    assert list(whole[last]) == list(np.floor(ROWS))
+    assert [count[-1] for count in counts] == [1, 1]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_reached_at_an_output_time_happens_there(solver):
+    run = cosim.simulate(clock(), solver=solver)
+    assert_all_at_its_time(run.time, run["whole"], (run["n"], run["m"]))
+    assert [round(event.time, 12) for event in run.events if event.name == "three"] == [3.0]
+
+
+def test_runs_of_a_block_do_as_single_ones():
+    runs = cosim.simulate_many(clock(), {"x": [0.0, 0.0]}, solver="dop853", outputs=["whole", "n"])
+    assert runs["n"][:, -1].tolist() == [1, 1]
+    assert runs["whole"][:, -1].tolist() == [3, 3]
+
+
+@pytest.mark.parametrize(("fmi", "interface"), INTERFACES)
+def test_an_fmu_does_so_in_an_importer(fmi, interface):
+    found = fmpy.simulate_fmu(
+        exported(fmi), fmi_type=interface, stop_time=STOP, output_interval=INTERVAL,
+        output=["whole", "n", "m"],
+    )  # fmt: skip
+    assert_all_at_its_time(found["time"], found["whole"], (found["n"], found["m"]))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_touch_at_an_output_time_is_none(solver):
+    model = cosim.Model("touch", stop_time=2.0, output_interval=INTERVAL)
+    x, v = model.state("x", "1", 0.0, "height"), model.state("v", "1/s", 2.0, "rate")
+    n = model.discrete("n", "1", 0.0, "n")
+    model.derivative(x, v)
+    model.derivative(v, -2.0)  # x = 2 t - t^2 has its maximum of 1 at 1 s
+    model.when(x >= 1 + 1e-9, {n: n + 1}, name="beyond")
+    model.when(x >= 1 - 1e-6, {n: n + 1}, name="just below")
+    assert cosim.simulate(model.freeze(), solver=solver).final["n"] == 1
+
+
+@pytest.mark.parametrize(("after", "beyond"), [(1.0, 1.0), (-1.0, 0.0)])
+def test_what_an_importer_sets_at_a_communication_point_decides(after, beyond):
+    """x' = u reaches 1 where u is set again: only what goes on is above."""
+    model = cosim.Model("driven", stop_time=2.0, output_interval=0.125)
+    u, x = model.input("u", "1/s", 1.0, "rate"), model.state("x", "1", 0.0, "way")
+    above = model.state("above", "s", 0.0, "time above 1")
+    model.derivative(x, u)
+    model.derivative(above, ca.if_else(x > 1, 1.0, 0.0))
+    path = cosim.export_fmu(model.freeze(), FOLDER / f"driven_{after:g}.fmu")
+    description = fmpy.read_model_description(path)
+    number = {v.name: v.valueReference for v in description.modelVariables}
+    facts = {
+        "guid": description.guid,
+        "instanceName": "driven",
+        "unzipDirectory": fmpy.extract(path),
+    }
+    facts["modelIdentifier"] = description.coSimulation.modelIdentifier
+    slave = FMU2Slave(**facts)
+    slave.instantiate()
+    slave.setupExperiment(startTime=0.0, stopTime=2.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    for k in range(16):
+        slave.setReal([number["u"]], [1.0 if k < 8 else after])
+        slave.doStep(k * 0.125, 0.125)
+    found = slave.getReal([number["above"]])
+    slave.terminate()
+    slave.freeInstance()
+    assert found == pytest.approx([beyond], abs=1e-9)
