@@ -112,10 +112,9 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
-    double wait = 0; /* until all that only rounding keeps within its mode has left it */
+    double wait = 0; /* until all that only rounding keeps within its mode is beyond rounding */
     for (int i = 0; i < MODES; i++)
-        if (is_passing(s, t, i, inside[i], rates[i]))
-            wait = fmax(wait, (inside[i] - s->slack[i]) / -rates[i]);
+        if (is_passing(s, t, i, inside[i], rates[i])) wait = fmax(wait, inside[i] / -rates[i]);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         if (later[i]) {

@@ -57,11 +57,6 @@ static inline int outside(const Place *place) {
     return -1;
 }
 
-/* What rounding of the time makes of a margin at a place. */
-static inline double rounding_of_time(const Place *place, int i) {
-    return 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
-}
-
 /* The relation that leaves its mode at a place, such as an output time, whatever side rounding has
  * left it on; -1: none. */
 static inline int leaving_at(const Switching *s, const Place *place) {
@@ -194,6 +189,11 @@ static inline int crossing_between(LookAt *look, Stays *stays, void *motion, Pla
 typedef bool FreshStep(void *motion, double t, Place *found);
 
 typedef enum { CROSSES, TOUCHES, FAILS } Located;
+
+/* What rounding of the time makes of a margin at a place. */
+static inline double rounding_of_time(const Place *place, int i) {
+    return 8 * DBL_EPSILON * fabs(place->t) * fabs(place->rates[i]);
+}
 
 /* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
  * that is outside and comes back has crossed before all that are on their way out. */
