@@ -4,11 +4,10 @@ import json
 import re
 import subprocess
 import sys
-import zipfile
 from xml.etree import ElementTree as ET
 
 import pytest
-from helpers.fmu_files import remove, rewritten, set_attributes, with_description
+from helpers.fmu_files import library, remove, rewritten, set_attributes, with_description
 
 from cosim.cli.main import main
 from cosim.codegen.compiler import find_compiler
@@ -28,12 +27,6 @@ def test_what_only_our_own_files_keep_is_no_finding(exported, tmp_path):
     ):
         path = with_description(exported(NAME), tmp_path / "other.fmu", edit)
         assert examine(path) == ()
-
-
-def library(path) -> tuple[str, bytes]:
-    with zipfile.ZipFile(path) as archive:
-        inside = next(name for name in archive.namelist() if name.startswith("binaries/"))
-        return inside, archive.read(inside)
 
 
 def test_token_elsewhere_is_advice_only(exported, tmp_path):
