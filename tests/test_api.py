@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from helpers.oscillators import blow_up
 from helpers.small_models import decay
 
 import cosim
@@ -139,10 +140,7 @@ def test_condition_that_never_holds_changes_nothing():
 
 
 def test_run_that_fails_only_after_the_stop_is_no_failure():
-    model = Model("blow_up", stop_time=2.0)
-    x = model.state("x", "m", 1.0, "goes to infinity at 1 s")
-    model.derivative(x, x**2)
-    dae = model.freeze()
+    dae = blow_up()
     with pytest.raises(SolverError):
         cosim.simulate(dae, compiled=False)
     run = cosim.simulate(dae, stop_when="x > 4", compiled=False)

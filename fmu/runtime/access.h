@@ -180,9 +180,9 @@ static uint32_t valid_reference(const Instance *self) {
     return self->host.fmi_version == 2 ? 0 : N_VARIABLES;
 }
 
-/* The Boolean variable `valid`, for a list of references to it. */
+/* The Boolean variable `valid`, for a list of references to it, whose values have room. */
 static Status get_validity(Instance *self, const Reference references[], size_t count,
-                           bool *valid) {
+                           const void *room, bool *valid) {
     if (count == 0) return OK;
     if (!references) return refuse(self, ERROR, "%zu value references, but no list", count);
     for (size_t i = 0; i < count; i++)
@@ -192,6 +192,7 @@ static Status get_validity(Instance *self, const Reference references[], size_t 
         return refuse(self, DISCARD, "valid has no value before initialization");
     const Status status = refresh(self, OUTPUTS);
     *valid = self->state.outside == 0;
+    if (status == OK && !room) return refuse(self, ERROR, "there is no room for the values");
     return status;
 }
 

@@ -50,39 +50,16 @@ static bool leave_to_importer(Instance *self, int crossing);
 static int take_waiting(Instance *self);
 static bool event_waits(const Instance *self);
 #else
-static inline Status start_events(Instance *self) {
-    (void)self;
-    return OK;
-}
-static inline Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
-    (void)self, (void)crossing;
-    *outcome = (Outcome){false, false};
-    return OK;
-}
-static inline bool run_stopped(const Instance *self) {
-    (void)self;
-    return false;
-}
-static inline void enter_instant(Instance *self) {
-    (void)self;
-}
-static inline void leave_instant(Instance *self) {
-    (void)self;
-}
-static inline void note_samples(Instance *self, double behind[]) {
-    (void)self, (void)behind;
-}
-static inline void rebase_samples(Instance *self, const double behind[]) {
-    (void)self, (void)behind;
-}
-static inline int take_waiting(Instance *self) {
-    (void)self;
-    return -1;
-}
-static inline bool event_waits(const Instance *self) {
-    (void)self;
-    return false;
-}
+#define start_events(self) ((void)(self), OK)
+#define handle_instant(self, crossing, outcome)                                                    \
+    ((void)(self), (void)(crossing), *(outcome) = (Outcome){false, false}, OK)
+#define run_stopped(self) ((void)(self), false)
+#define enter_instant(self) ((void)(self))
+#define leave_instant(self) ((void)(self))
+#define note_samples(self, behind) ((void)(self), (void)(behind))
+#define rebase_samples(self, behind) ((void)(self), (void)(behind))
+#define take_waiting(self) ((void)(self), -1)
+#define event_waits(self) ((void)(self), false)
 #endif
 
 #endif

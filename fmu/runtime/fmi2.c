@@ -120,9 +120,7 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     Instance *self = c;
     if (!allowed(self, IN_GET_VALUES, __func__)) return fmi2Error;
     bool valid = false;
-    const Status status = get_validity(self, vr, nvr, &valid);
-    if (status == OK && nvr > 0 && !value)
-        return fmi2_status(refuse(self, ERROR, "there is no room for the values"));
+    const Status status = get_validity(self, vr, nvr, value, &valid);
     for (size_t i = 0; status == OK && i < nvr; i++) value[i] = valid;
     return fmi2_status(status);
 }

@@ -60,13 +60,6 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
     return status;
 }
 
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
-    fmi2Status status;
-    (void)s;
-    tells(c, __func__, false, value, &status);
-    return status;
-}
-
 /* An event may end the simulation. */
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
     Instance *self = c;
@@ -75,9 +68,13 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
     return status;
 }
 
-fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
-    fmi2Status status;
-    (void)s;
-    tells(c, __func__, false, value, &status);
-    return status;
-}
+#define NO_STATUS_OF(TYPE)                                                                         \
+    fmi2Status fmi2Get##TYPE##Status(fmi2Component c, const fmi2StatusKind s, fmi2##TYPE *value) { \
+        fmi2Status status;                                                                         \
+        (void)s;                                                                                   \
+        tells(c, __func__, false, value, &status);                                                 \
+        return status;                                                                             \
+    }
+
+NO_STATUS_OF(Integer)
+NO_STATUS_OF(String)

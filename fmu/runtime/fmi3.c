@@ -173,9 +173,7 @@ fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueR
     if (!allowed(self, IN_GET_VALUES, __func__)) return fmi3Error;
     if (HAS_VALID && !one_each(self, nValues, nValueReferences)) return fmi3Error;
     bool valid = false;
-    const Status status = get_validity(self, valueReferences, nValueReferences, &valid);
-    if (status == OK && nValueReferences > 0 && !values)
-        return fmi3_status(refuse(self, ERROR, "there is no room for the values"));
+    const Status status = get_validity(self, valueReferences, nValueReferences, values, &valid);
     for (size_t i = 0; status == OK && i < nValueReferences; i++) values[i] = valid;
     return fmi3_status(status);
 }

@@ -2,21 +2,21 @@
    structural parameters, model partitions. Without a variable asked, they do nothing. */
 #include "fmi3.h"
 
-#define REFERENCES const fmi3ValueReference valueReferences[], size_t nValueReferences
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wunused-parameter"
 
-#define NOT_READ_OF(TYPE)                                                                          \
-    fmi3Status fmi3Get##TYPE(fmi3Instance instance, REFERENCES, fmi3##TYPE values[],               \
-                             size_t nValues) {                                                     \
-        (void)valueReferences, (void)values, (void)nValues;                                        \
-        return ANSWERED(instance, IN_GET_VALUES, no_variables(instance, nValueReferences));        \
+/* A function of variables that no model has, and the modes in which it is allowed. */
+#define ABSENT(NAME, MODES, ...)                                                                   \
+    fmi3Status NAME(fmi3Instance instance, const fmi3ValueReference valueReferences[],             \
+                    size_t nValueReferences, __VA_ARGS__) {                                        \
+        return ANSWERED(instance, MODES, no_variables(instance, nValueReferences));                \
     }
+
 #define NOT_SET_OF(TYPE)                                                                           \
-    fmi3Status fmi3Set##TYPE(fmi3Instance instance, REFERENCES, const fmi3##TYPE values[],         \
-                             size_t nValues) {                                                     \
-        (void)valueReferences, (void)values, (void)nValues;                                        \
-        return ANSWERED(instance, IN_SET_DISCRETE, no_variables(instance, nValueReferences));      \
-    }
-#define NO_VARIABLES_OF(TYPE) NOT_READ_OF(TYPE) NOT_SET_OF(TYPE)
+    ABSENT(fmi3Set##TYPE, IN_SET_DISCRETE, const fmi3##TYPE values[], size_t nValues)
+#define NO_VARIABLES_OF(TYPE)                                                                      \
+    ABSENT(fmi3Get##TYPE, IN_GET_VALUES, fmi3##TYPE values[], size_t nValues)                      \
+    NOT_SET_OF(TYPE)
 
 NO_VARIABLES_OF(Float32)
 NO_VARIABLES_OF(Int8)
@@ -29,18 +29,9 @@ NO_VARIABLES_OF(Int64)
 NO_VARIABLES_OF(UInt64)
 NO_VARIABLES_OF(String)
 NOT_SET_OF(Boolean) /* `valid` is read in fmi3.c */
-
-fmi3Status fmi3GetBinary(fmi3Instance instance, REFERENCES, size_t valueSizes[],
-                         fmi3Binary values[], size_t nValues) {
-    (void)valueReferences, (void)valueSizes, (void)values, (void)nValues;
-    return ANSWERED(instance, IN_GET_VALUES, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetBinary(fmi3Instance instance, REFERENCES, const size_t valueSizes[],
-                         const fmi3Binary values[], size_t nValues) {
-    (void)valueReferences, (void)valueSizes, (void)values, (void)nValues;
-    return ANSWERED(instance, IN_SET_DISCRETE, no_variables(instance, nValueReferences));
-}
+ABSENT(fmi3GetBinary, IN_GET_VALUES, size_t valueSizes[], fmi3Binary values[], size_t nValues)
+ABSENT(fmi3SetBinary, IN_SET_DISCRETE, const size_t valueSizes[], const fmi3Binary values[],
+       size_t nValues)
 
 /* -- clocks ----------------------------------------------------------------------------------- */
 
@@ -52,95 +43,37 @@ enum {
     IN_SHIFTS = INITIALIZATION_MODE | EITHER
 };
 
-fmi3Status fmi3GetClock(fmi3Instance instance, REFERENCES, fmi3Clock values[]) {
-    (void)valueReferences, (void)values;
-    return ANSWERED(instance, IN_CLOCKS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetClock(fmi3Instance instance, REFERENCES, const fmi3Clock values[]) {
-    (void)valueReferences, (void)values;
-    return ANSWERED(instance, IN_CLOCKS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, REFERENCES, fmi3Float64 intervals[],
-                                  fmi3IntervalQualifier qualifiers[]) {
-    (void)valueReferences, (void)intervals, (void)qualifiers;
-    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, REFERENCES, fmi3UInt64 counters[],
-                                   fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]) {
-    (void)valueReferences, (void)counters, (void)resolutions, (void)qualifiers;
-    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, REFERENCES, fmi3Float64 shifts[]) {
-    (void)valueReferences, (void)shifts;
-    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3GetShiftFraction(fmi3Instance instance, REFERENCES, fmi3UInt64 counters[],
-                                fmi3UInt64 resolutions[]) {
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, REFERENCES,
-                                  const fmi3Float64 intervals[]) {
-    (void)valueReferences, (void)intervals;
-    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, REFERENCES, const fmi3UInt64 counters[],
-                                   const fmi3UInt64 resolutions[]) {
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return ANSWERED(instance, IN_INTERVALS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, REFERENCES, const fmi3Float64 shifts[]) {
-    (void)valueReferences, (void)shifts;
-    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
-}
-
-fmi3Status fmi3SetShiftFraction(fmi3Instance instance, REFERENCES, const fmi3UInt64 counters[],
-                                const fmi3UInt64 resolutions[]) {
-    (void)valueReferences, (void)counters, (void)resolutions;
-    return ANSWERED(instance, IN_SHIFTS, no_variables(instance, nValueReferences));
-}
+ABSENT(fmi3GetClock, IN_CLOCKS, fmi3Clock values[])
+ABSENT(fmi3SetClock, IN_CLOCKS, const fmi3Clock values[])
+ABSENT(fmi3GetIntervalDecimal, IN_INTERVALS, fmi3Float64 intervals[],
+       fmi3IntervalQualifier qualifiers[])
+ABSENT(fmi3GetIntervalFraction, IN_INTERVALS, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+       fmi3IntervalQualifier qualifiers[])
+ABSENT(fmi3GetShiftDecimal, IN_SHIFTS, fmi3Float64 shifts[])
+ABSENT(fmi3GetShiftFraction, IN_SHIFTS, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+ABSENT(fmi3SetIntervalDecimal, IN_INTERVALS, const fmi3Float64 intervals[])
+ABSENT(fmi3SetIntervalFraction, IN_INTERVALS, const fmi3UInt64 counters[],
+       const fmi3UInt64 resolutions[])
+ABSENT(fmi3SetShiftDecimal, IN_SHIFTS, const fmi3Float64 shifts[])
+ABSENT(fmi3SetShiftFraction, IN_SHIFTS, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 
 /* -- capabilities that the model description denies -------------------------------------------- */
 
-static Status denied(Instance *self) {
-    return refuse(self, ERROR, "the model does not offer this");
-}
+#define DENIED(NAME, ...)                                                                          \
+    fmi3Status NAME(__VA_ARGS__) {                                                                 \
+        return ANSWERED(instance, ALWAYS,                                                          \
+                        refuse(instance, ERROR, "the model does not offer this"));                 \
+    }
 
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
-                                               fmi3ValueReference valueReference,
-                                               size_t *nDependencies) {
-    (void)valueReference, (void)nDependencies;
-    return ANSWERED(instance, ALWAYS, denied(instance));
-}
+DENIED(fmi3GetNumberOfVariableDependencies, fmi3Instance instance,
+       fmi3ValueReference valueReference, size_t *nDependencies)
+DENIED(fmi3GetVariableDependencies, fmi3Instance instance, fmi3ValueReference dependent,
+       size_t elementIndicesOfDependent[], fmi3ValueReference independents[],
+       size_t elementIndicesOfIndependents[], fmi3DependencyKind dependencyKinds[],
+       size_t nDependencies)
+DENIED(fmi3EnterConfigurationMode, fmi3Instance instance)
+DENIED(fmi3ExitConfigurationMode, fmi3Instance instance)
+DENIED(fmi3ActivateModelPartition, fmi3Instance instance, fmi3ValueReference clockReference,
+       fmi3Float64 activationTime)
 
-fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
-                                       size_t elementIndicesOfDependent[],
-                                       fmi3ValueReference independents[],
-                                       size_t elementIndicesOfIndependents[],
-                                       fmi3DependencyKind dependencyKinds[], size_t nDependencies) {
-    (void)dependent, (void)elementIndicesOfDependent, (void)independents;
-    (void)elementIndicesOfIndependents, (void)dependencyKinds, (void)nDependencies;
-    return ANSWERED(instance, ALWAYS, denied(instance));
-}
-
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
-    return ANSWERED(instance, ALWAYS, denied(instance));
-}
-
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
-    return ANSWERED(instance, ALWAYS, denied(instance));
-}
-
-fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clockReference,
-                                      fmi3Float64 activationTime) {
-    (void)clockReference, (void)activationTime;
-    return ANSWERED(instance, ALWAYS, denied(instance));
-}
+#pragma GCC diagnostic pop

@@ -83,14 +83,8 @@ static bool keep_to_constraints(Problem *self, double t, double *x) {
     return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, t, u, x));
 }
 #else
-static double time_to_loss(Problem *self, double t, const double *x) {
-    (void)self, (void)t, (void)x;
-    return INFINITY;
-}
-static bool keep_to_constraints(Problem *self, double t, double *x) {
-    (void)self, (void)t, (void)x;
-    return true;
-}
+#define time_to_loss(self, t, x) ((void)(self), (void)(t), (void)(x), INFINITY)
+#define keep_to_constraints(self, t, x) ((void)(self), (void)(t), (void)(x), true)
 static const double GAP = 1;
 #endif
 
@@ -185,11 +179,7 @@ static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory,
     return true;
 }
 #else
-static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
-                            const double *after, double x[]) {
-    (void)ode, (void)self, (void)memory, (void)k, (void)after, (void)x;
-    return true;
-}
+#define end_at_crossing(ode, self, memory, k, after, x) true
 #endif
 
 /* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */

@@ -110,8 +110,9 @@ static bool plausible(const Instance *self, const State *state) {
 }
 
 /* Why a snapshot cannot be restored; NULL when it can. */
-static const char *fault_of(const Instance *self, const Snapshot *snapshot) {
-    const char *reason = foreign(self, &snapshot->header);
+static const char *fault_of(const Instance *self, const void *memory) {
+    const Snapshot *snapshot = memory;
+    const char *reason = snapshot ? foreign(self, &snapshot->header) : "the FMU state is missing";
     if (reason) return reason;
     if (snapshot->header.checksum != hash(&snapshot->state, sizeof snapshot->state))
         return "the FMU state is damaged";
@@ -135,7 +136,7 @@ static Status take_snapshot(Instance *self, void **snapshot) {
 }
 
 static Status restore_snapshot(Instance *self, const void *snapshot) {
-    const char *reason = snapshot ? fault_of(self, snapshot) : "the FMU state is missing";
+    const char *reason = fault_of(self, snapshot);
     if (reason) return reject(self, reason);
     self->state = ((const Snapshot *)snapshot)->state;
     return OK;
@@ -153,7 +154,7 @@ static Status release_snapshot(Instance *self, void **snapshot) {
 }
 
 static Status snapshot_size(Instance *self, const void *snapshot, size_t *size) {
-    const char *reason = snapshot ? fault_of(self, snapshot) : "the FMU state is missing";
+    const char *reason = fault_of(self, snapshot);
     if (!reason && !size) reason = "there is no room for the size";
     if (reason) return reject(self, reason);
     *size = sizeof(Snapshot);
@@ -161,7 +162,7 @@ static Status snapshot_size(Instance *self, const void *snapshot, size_t *size) 
 }
 
 static Status serialize(Instance *self, const void *snapshot, void *bytes, size_t size) {
-    const char *reason = snapshot ? fault_of(self, snapshot) : "the FMU state is missing";
+    const char *reason = fault_of(self, snapshot);
     if (!reason && !bytes) reason = "there is no room for the bytes";
     if (!reason && size < sizeof(Snapshot)) reason = "there is too little room for the bytes";
     if (reason) return reject(self, reason);

@@ -51,7 +51,7 @@ def test_texts_of_a_command_line_are_values_of_their_type(part):
 @pytest.mark.parametrize("method", ["extrapolated", "iterated"])
 def test_switch_of_a_boolean_is_located(method, part):
     """x' = 1 switches `above` at 0.5 s, which the next part passes on."""
-    drive = "a.u" if "typed_2" in part.name else "a.u[1]"
+    drive = "a.u" if part.stem == "typed_part_2" else "a.u[1]"
     system = cosim.couple({"a": part, "b": part}, {"b.on_in": "a.above"}, start_values={drive: 1.0})
     run = system.simulate(method=method, accuracy=1e-6, stop_time=0.9, output_interval=0.3)
     assert run["a.above"].tolist() == run["b.on"].tolist() == [0, 0, 1, 1]

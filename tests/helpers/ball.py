@@ -1,19 +1,11 @@
 """The FMU of ball.c, and the exact motion of its ball (free fall)."""
 
-import inspect
 import math
-import re
-import zipfile
 from pathlib import Path
 
-import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Model
-from fmpy.fmi3 import FMU3Model
+from helpers.stubbed import stubbed
 
-from cosim.codegen.compiler import compile_library
-
-SOURCE = Path(__file__).with_name("ball.c")
 _XML_2 = """<?xml version="1.0"?>
 <fmiModelDescription fmiVersion="2.0" modelName="ball" guid="b" numberOfEventIndicators="1">
 <ModelExchange modelIdentifier="ball"/>
@@ -60,22 +52,9 @@ _XML_3 = """<?xml version="1.0"?>
 
 
 def ball_fmu(folder: Path, fmi: int) -> Path:
-    """Build the FMU; functions that nobody needs answer that all is well."""
-    text = SOURCE.read_text()
-    interface, prefix = (FMU2Model, "fmi2") if fmi == 2 else (FMU3Model, "fmi3")
-    names = [name for name, _ in inspect.getmembers(interface) if name.startswith(prefix)]
-    missing = [name for name in names if not re.search(rf"\b{name}\b", text)]
-    source = folder / f"ball_{fmi}.c"
-    stubs = "\n".join(f"int {name}(void) {{ return 0; }}" for name in missing)
-    source.write_text(f"#define FMI {fmi}\n{text}\n{stubs}\n")
-    library = folder / f"ball{fmpy.sharedLibraryExtension}"
-    compile_library([source], library)
-    path = folder / f"ball_{fmi}.fmu"
-    own = fmpy.platform if fmi == 2 else fmpy.platform_tuple
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", _XML_2 if fmi == 2 else _XML_3)
-        archive.write(library, f"binaries/{own}/{library.name}")
-    return path
+    """Build the FMU."""
+    source = Path(__file__).with_name("ball.c")
+    return stubbed(source, folder, fmi, _XML_2 if fmi == 2 else _XML_3)
 
 
 def free_fall(times: np.ndarray) -> dict[str, np.ndarray]:

@@ -44,6 +44,14 @@ def rewritten(
     return target
 
 
+def library(path: Path) -> tuple[str, bytes]:
+    """Return name and content of the first binary of an FMU."""
+    with zipfile.ZipFile(path) as archive:
+        names = (name for name in archive.namelist() if name.startswith("binaries/"))
+        inside = next(name for name in names if "." in name)
+        return inside, archive.read(inside)
+
+
 def with_description(source: Path, target: Path, edit: Edit) -> Path:
     """Copy an FMU with its model description edited."""
     with zipfile.ZipFile(source) as archive:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+import pytest
 from helpers import event_models, toy
 
 from cosim.codegen.fmu.solver import LOOK_STEPS
@@ -180,6 +181,23 @@ UPDATE = CFUNCTYPE(
 )  # fmt: skip
 
 
+def rows_of(table: str) -> list[Any]:
+    """Return the rows of a table of functions for `parametrize`.
+
+    Each has an interface, the name of a function, and a mark for each state. A bar separates the
+    states of model exchange, 0, from those of co-simulation, 1.
+    """
+    head, *lines = table.strip("\n").splitlines()
+    columns = [part.split() for part in head.split("|")]
+    rows = []
+    for line in lines:
+        function, marks = line.split(maxsplit=1)
+        for interface, part in enumerate(marks.split("|")):
+            own = dict(zip(columns[interface], part.split(), strict=True))
+            rows.append(pytest.param(interface, function, own, id=f"{function}-{interface}"))
+    return rows
+
+
 def reals(*values: float) -> ctypes.Array:
     """Return a C array of doubles."""
     return (c_double * len(values))(*values)
@@ -196,6 +214,7 @@ class Fmu:
     prefix: str
     reader: str
     writer: str
+    state: str  # as it is called in names of functions
 
     def __init__(self, lib: ctypes.CDLL, names: Sequence[str]) -> None:
         self.lib = lib
@@ -245,11 +264,25 @@ class Fmu:
         assert self(function, values, count) == OK, self.said
         return list(values)
 
+    def take(self) -> c_void_p:
+        """Return a new FMU state."""
+        snapshot = c_void_p()
+        assert self(f"Get{self.state}", byref(snapshot)) == OK, self.said
+        return snapshot
+
+    def serialize(self, snapshot: c_void_p) -> ctypes.Array[c_char]:
+        """Return the bytes of an FMU state."""
+        size = c_size_t()
+        assert self(f"Serialized{self.state}Size", snapshot, byref(size)) == OK, self.said
+        blob = (c_char * size.value)()
+        assert self(f"Serialize{self.state}", snapshot, blob, size.value) == OK, self.said
+        return blob
+
 
 class Fmu2(Fmu):
     """An FMI 2 instance."""
 
-    prefix, reader, writer = "fmi2", "GetReal", "SetReal"
+    prefix, reader, writer, state = "fmi2", "GetReal", "SetReal", "FMUstate"
 
     def __init__(
         self,
@@ -285,20 +318,6 @@ class Fmu2(Fmu):
         has_tolerance, has_stop = int(tolerance != 0), int(stop is not None)
         return self("SetupExperiment", has_tolerance, tolerance, start, has_stop, stop or 0.0)
 
-    def take(self) -> c_void_p:
-        """Return a new FMU state."""
-        snapshot = c_void_p()
-        assert self("GetFMUstate", byref(snapshot)) == OK, self.said
-        return snapshot
-
-    def serialize(self, snapshot: c_void_p) -> ctypes.Array[c_char]:
-        """Return the bytes of an FMU state."""
-        size = c_size_t()
-        assert self("SerializedFMUstateSize", snapshot, byref(size)) == OK, self.said
-        blob = (c_char * size.value)()
-        assert self("SerializeFMUstate", snapshot, blob, size.value) == OK, self.said
-        return blob
-
     def initialize(self, experiment: dict[str, float] | None = None, **start: float) -> "Fmu2":
         """Go through initialization mode."""
         assert self.set_up(**experiment or {}) == OK
@@ -311,7 +330,7 @@ class Fmu2(Fmu):
 class Fmu3(Fmu):
     """An FMI 3 instance; interface 0 is model exchange, 1 co-simulation, 2 scheduled execution."""
 
-    prefix, reader, writer = "fmi3", "GetFloat64", "SetFloat64"
+    prefix, reader, writer, state = "fmi3", "GetFloat64", "SetFloat64", "FMUState"
 
     def __init__(
         self,

@@ -39,3 +39,14 @@ def table() -> Dae:
     push = model.input("push", "1", 0.5, "push")
     model.output("y", "1", gain * push + model.t, "result")
     return model.freeze()
+
+
+def growing() -> Dae:
+    """Return x' = x^2 + u: infinite at 1 / x(0) where u is 0."""
+    model = Model("growing", stop_time=2.0)
+    x = model.state("x", "1", 1.0, "what grows")
+    u = model.input("u", "1/s", 0.0, "push")
+    model.derivative(x, x**2 + u)
+    model.output("twice", "1", 2 * x + u, "output of state and input")
+    model.limit(0.7 - x, "x stays below 0.7")
+    return model.freeze()

@@ -1,27 +1,20 @@
 """The FMU of typed_part.c: arrays (FMI 3.0), and variables of several types."""
 
-import inspect
-import re
 from pathlib import Path
 
-import fmpy
-from fmpy.fmi2 import FMU2Model, FMU2Slave
-from fmpy.fmi3 import FMU3Model, FMU3Slave
+from helpers.stubbed import stubbed
 
-from cosim.codegen.compiler import compile_library
-from cosim.fmi.export.package import zipped
-
-SOURCE = Path(__file__).with_name("typed_part.c")
 _ABILITIES = 'canHandleVariableCommunicationStepSize="true" canGetAndSetFMU{state}="true"'
 _ENUMERATION = """<TypeDefinitions>{begin}<Item name="slow" value="1"/><Item name="fast" value="3"/>
 {end}</TypeDefinitions>"""
 _XML_2 = """<fmiModelDescription fmiVersion="2.0" modelName="typed" guid="t">
-<CoSimulation modelIdentifier="typed" {abilities}/>{types}
+<CoSimulation modelIdentifier="typed_part" {abilities}/>{types}
 <DefaultExperiment startTime="0" stopTime="1" stepSize="0.1"/><ModelVariables>{variables}
 </ModelVariables><ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>
 </fmiModelDescription>"""
 _XML_3 = """<fmiModelDescription fmiVersion="3.0" modelName="typed" instantiationToken="t">
-<ModelExchange modelIdentifier="typed"/><CoSimulation modelIdentifier="typed" {abilities}/>{types}
+<ModelExchange modelIdentifier="typed_part"/>
+<CoSimulation modelIdentifier="typed_part" {abilities}/>{types}
 <DefaultExperiment startTime="0" stopTime="1" stepSize="0.1"/><ModelVariables>
 <UInt64 name="n" valueReference="1" causality="structuralParameter" start="2" max="4"/>
 <Float64 name="A" valueReference="2" causality="parameter" variability="tunable" start="0 0 0 0">
@@ -38,26 +31,12 @@ _PAIRS = {"on": ("Boolean", 7), "count": ("Int32", 9), "mode": ("Enumeration", 1
 
 
 def typed_part(folder: Path, fmi: int = 3) -> Path:
-    """Build the FMU; functions that nobody needs answer that all is well."""
-    second = fmi == 2
-    classes = (FMU2Model, FMU2Slave) if second else (FMU3Model, FMU3Slave)
-    found = (name for one in classes for name, _ in inspect.getmembers(one))
-    text, names = SOURCE.read_text(), sorted({n for n in found if n.startswith(f"fmi{fmi}")})
-    state = "state" if second else "State"
+    """Build the FMU."""
+    state = "state" if fmi == 2 else "State"
     own = {f"fmi{fmi}{verb}FMU{state}" for verb in ("Get", "Set", "Free")}
     own |= {f"fmi3{verb}{kind}" for verb in ("Get", "Set") for kind in _TYPED}
-    missing = [n for n in names if n not in own and not re.search(rf"\b{n}\b", text)]
-    source = folder / f"typed_{fmi}.c"
-    stubs = "\n".join(f"API int {name}(void) {{ return 0; }}" for name in missing)
-    source.write_text(f"#define FMI {fmi}\n{text}\n{stubs}\n")
-    library = folder / f"typed{fmpy.sharedLibraryExtension}"
-    compile_library([source], library)
-    platform = fmpy.platform if second else fmpy.platform_tuple
-    files = {"modelDescription.xml": _description(second).encode()}
-    files[f"binaries/{platform}/{library.name}"] = library.read_bytes()
-    path = folder / f"typed_{fmi}.fmu"
-    path.write_bytes(zipped(files))
-    return path
+    source = Path(__file__).with_name("typed_part.c")
+    return stubbed(source, folder, fmi, _description(fmi == 2), own)
 
 
 def _description(second: bool) -> str:

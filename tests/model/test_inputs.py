@@ -58,6 +58,19 @@ def free_bar(times, series=SERIES):
     return np.array(result).T
 
 
+def run_of_file(path, interface, inputs=SERIES, *, stop=1.0, interval=0.01, tolerance=None):
+    """Return the run of the free bar's FMU under a torque over time."""
+    return cosim.simulate_fmu(
+        path,
+        interface=interface,
+        stop_time=stop,
+        output_interval=interval,
+        inputs=inputs,
+        start_values=FREE,
+        relative_tolerance=tolerance,
+    )
+
+
 def test_values_are_linear_between_samples_and_constant_outside():
     series = InputSeries(("a", "b"), [1.0, 2.0, 4.0], [[0, 5], [2, 5], [-2, 5]])
     inside = series.at(np.array([0.0, 1.5, 3.0, 9.0]))
@@ -109,15 +122,7 @@ def test_fixed_steps_that_end_at_the_samples_are_exact(bar, solver):
 )
 def test_fmu_under_a_torque_over_time_does_the_same(bar, tmp_path, fmi, interface, bound):
     path = cosim.export_fmu(bar, tmp_path / "bar.fmu", fmi=fmi)
-    run = cosim.simulate_fmu(
-        path,
-        interface=interface,
-        stop_time=1,
-        output_interval=0.01,
-        inputs=SERIES,
-        start_values=FREE,
-        relative_tolerance=1e-10,
-    )
+    run = run_of_file(path, interface, tolerance=1e-10)
     angle, rate = free_bar(run.time)
     np.testing.assert_allclose(run["theta"], angle, rtol=0, atol=bound)
     np.testing.assert_allclose(run["theta_dot"], rate, rtol=0, atol=bound)
@@ -128,15 +133,7 @@ def test_short_pulse_on_a_body_at_rest_is_not_stepped_over(bar, tmp_path, interf
     path = cosim.export_fmu(bar, tmp_path / "bar.fmu")
     times = [0.0, 23.0, 23.001, 23.011, 23.012]  # fmpy's CVODE takes steps of up to 0.8 s
     pulse = InputSeries(("T2",), times, [[0.0], [0.0], [0.05], [0.05], [0.0]])
-    run = cosim.simulate_fmu(
-        path,
-        interface=interface,
-        stop_time=40,
-        output_interval=4,
-        inputs=pulse,
-        start_values=FREE,
-        relative_tolerance=1e-8,
-    )
+    run = run_of_file(path, interface, pulse, stop=40, interval=4, tolerance=1e-8)
     rate = free_bar(run.time, pulse)[1]
     assert rate[-1] == pytest.approx(0.0243, abs=1e-4)
     # measured 3.7e-8 ME at rtol 1e-8, 7e-18 CS
@@ -151,14 +148,7 @@ def test_inputs_held_within_steps_leave_an_error_of_second_order(bar, tmp_path):
     smooth = InputSeries(("T2",), [0.0, 1.0], [[0.0], [0.1]])
     errors = []
     for interval in (0.02, 0.01):
-        run = cosim.simulate_fmu(
-            path,
-            interface="CoSimulation",
-            stop_time=1,
-            output_interval=interval,
-            inputs=smooth,
-            start_values=FREE,
-        )
+        run = run_of_file(path, "CoSimulation", smooth, interval=interval)
         errors.append(np.abs(run["theta"] - free_bar(run.time, smooth)[0]).max())
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.01)
 
@@ -169,14 +159,7 @@ def test_outputs_that_feel_an_input_at_once_follow_it_on_both_backends(bar, tmp_
     torque = SERIES.at(run.time)[0]
     np.testing.assert_allclose(run["t2_G_F"], torque, rtol=0, atol=1e-15)
     for interface in ("ModelExchange", "CoSimulation"):
-        again = cosim.simulate_fmu(
-            path,
-            interface=interface,
-            stop_time=1,
-            output_interval=0.01,
-            inputs=SERIES,
-            start_values=FREE,
-        )
+        again = run_of_file(path, interface)
         np.testing.assert_allclose(again["t2_G_F"], torque, rtol=0, atol=1e-12)
 
 

@@ -3,7 +3,7 @@
 The toy's lose rank where q = 0; its derivatives are its own, so that positions are told here.
 """
 
-from ctypes import byref, c_bool, c_double, c_int, c_void_p
+from ctypes import byref, c_bool, c_double, c_int
 
 import pytest
 from helpers import harness, toy
@@ -11,6 +11,7 @@ from helpers.harness import DISCARD, ERROR, OK, reals
 
 VERSIONS = {2: harness.Fmu2, 3: harness.Fmu3}
 SOLVERS = ("step", "dop853")
+DERIVATIVES = {"fmi2": "GetDerivatives", "fmi3": "GetContinuousStateDerivatives"}
 
 
 @pytest.fixture(scope="module", params=[(v, s) for v in VERSIONS for s in SOLVERS], ids=str)
@@ -91,16 +92,15 @@ def test_an_evaluation_at_a_loss_within_a_step_is_an_error(me):
     """Short steps of a solver within the one that it tells of."""
     assert completed(me, 1.0, 0.1, 0.0) == OK
     at(me, 1.05, 1e-6, 0.0)
-    me.states("GetDerivatives" if me.prefix == "fmi2" else "GetContinuousStateDerivatives")
+    me.states(DERIVATIVES[me.prefix])
     assert "near time 1.05 the constraints lose rank" in me.said
     assert completed(me, 1.1, 0.1, 0.0) == ERROR
     assert "lose rank at time 1.05 " in me.said
 
 
 def test_an_evaluation_ahead_counts_once_time_has_passed_it(me):
-    derivatives = "GetDerivatives" if me.prefix == "fmi2" else "GetContinuousStateDerivatives"
     at(me, 1.5, 1e-6, 0.0)
-    me.states(derivatives)
+    me.states(DERIVATIVES[me.prefix])
     assert completed(me, 1.0, 0.1, 0.0) == OK
     assert completed(me, 1.6, 0.1, 0.0) == ERROR
 
@@ -111,13 +111,12 @@ def test_time_that_goes_back_begins_the_watch_anew(me):
 
 
 def test_a_snapshot_holds_what_was_seen(me):
-    state, snapshot = "FMUstate" if me.prefix == "fmi2" else "FMUState", c_void_p()
     assert completed(me, 1.0, 0.1, -1.0) == OK
-    assert me(f"Get{state}", byref(snapshot)) == OK
+    snapshot = me.take()
     assert completed(me, 1.05, 0.1, 1.0) == OK
-    assert me(f"Set{state}", snapshot) == OK
+    assert me(f"Set{me.state}", snapshot) == OK
     assert completed(me, 1.2, -0.1, -1.0) == ERROR
-    assert me(f"Free{state}", byref(snapshot)) == OK
+    assert me(f"Free{me.state}", byref(snapshot)) == OK
 
 
 def stepped(fmu, length):

@@ -5,114 +5,61 @@ updates and of scheduled execution, which the models here do not have. After an 
 "terminated". Arguments are such that only the state can be the reason.
 """
 
-from ctypes import byref, c_bool, c_char, c_double, c_int32, c_size_t, c_void_p
+from ctypes import byref, c_bool, c_double, c_int32, c_size_t, c_void_p
 
 import pytest
-from helpers.harness import ERROR, OK, reals, references
+from helpers.harness import ERROR, OK, reals, references, rows_of
 
 FORCE, ENERGY = 11, 18
 SIZES = (8, 16, 32, 64)
 INTEGERS = [f"{sign}{size}" for sign in ("Int", "UInt") for size in SIZES]
 TYPES = ["Float32", *INTEGERS, "Boolean", "String", "Binary"]
 CLOCKS = ["Interval", "Shift"]
-MODEL_EXCHANGE = """
-                                 instantiated initialization event continuous terminated
-SetDebugLogging                       x            x           x       x          x
-EnterInitializationMode               x            .           .       .          .
-ExitInitializationMode                .            x           .       .          .
-EnterEventMode                        .            .           .       x          .
-Terminate                             .            .           x       x          .
-Reset                                 x            x           x       x          x
-GetFloat64                            x            x           x       x          x
-GetOther                              x            x           x       x          x
-SetFloat64                            x            x           x       x          .
-SetOther                              x            x           x       .          .
-GetClock                              .            .           x       .          .
-SetClock                              .            .           x       .          .
-GetNumberOfVariableDependencies       .            .           .       .          .
-GetVariableDependencies               .            .           .       .          .
-GetFMUState                           x            x           x       x          x
-SetFMUState                           x            x           x       x          x
-FreeFMUState                          x            x           x       x          x
-SerializedFMUStateSize                x            x           x       x          x
-SerializeFMUState                     x            x           x       x          x
-DeserializeFMUState                   x            x           x       x          x
-GetDirectionalDerivative              .            x           x       x          x
-GetAdjointDerivative                  .            x           x       x          x
-EnterConfigurationMode                .            .           .       .          .
-ExitConfigurationMode                 .            .           .       .          .
-Interval                              .            x           x       .          .
-Shift                                 .            x           .       .          .
-EvaluateDiscreteStates                .            .           x       .          .
-UpdateDiscreteStates                  .            .           x       .          .
-EnterContinuousTimeMode               .            .           x       .          .
-CompletedIntegratorStep               .            .           .       x          .
-SetTime                               .            .           .       x          .
-SetContinuousStates                   .            .           .       x          .
-GetContinuousStateDerivatives         .            x           x       x          x
-GetEventIndicators                    .            x           x       x          x
-GetContinuousStates                   .            x           x       x          x
-GetNominalsOfContinuousStates         .            x           x       x          x
-GetNumberOfEventIndicators            x            x           x       x          x
-GetNumberOfContinuousStates           x            x           x       x          x
-EnterStepMode                         .            .           .       .          .
-GetOutputDerivatives                  .            .           .       .          .
-DoStep                                .            .           .       .          .
-ActivateModelPartition                .            .           .       .          .
+TABLE = """
+                                 inst init event cont term  |  inst init step term
+SetDebugLogging                   x    x     x    x    x    |   x    x    x    x
+EnterInitializationMode           x    .     .    .    .    |   x    .    .    .
+ExitInitializationMode            .    x     .    .    .    |   .    x    .    .
+EnterEventMode                    .    .     .    x    .    |   .    .    .    .
+Terminate                         .    .     x    x    .    |   .    .    x    .
+Reset                             x    x     x    x    x    |   x    x    x    x
+GetFloat64                        x    x     x    x    x    |   x    x    x    x
+GetOther                          x    x     x    x    x    |   x    x    x    x
+SetFloat64                        x    x     x    x    .    |   x    x    x    .
+SetOther                          x    x     x    .    .    |   x    x    x    .
+GetClock                          .    .     x    .    .    |   .    .    .    .
+SetClock                          .    .     x    .    .    |   .    .    .    .
+GetNumberOfVariableDependencies   .    .     .    .    .    |   .    .    .    .
+GetVariableDependencies           .    .     .    .    .    |   .    .    .    .
+GetFMUState                       x    x     x    x    x    |   x    x    x    x
+SetFMUState                       x    x     x    x    x    |   x    x    x    x
+FreeFMUState                      x    x     x    x    x    |   x    x    x    x
+SerializedFMUStateSize            x    x     x    x    x    |   x    x    x    x
+SerializeFMUState                 x    x     x    x    x    |   x    x    x    x
+DeserializeFMUState               x    x     x    x    x    |   x    x    x    x
+GetDirectionalDerivative          .    x     x    x    x    |   .    x    x    x
+GetAdjointDerivative              .    x     x    x    x    |   .    x    x    x
+EnterConfigurationMode            .    .     .    .    .    |   .    .    .    .
+ExitConfigurationMode             .    .     .    .    .    |   .    .    .    .
+Interval                          .    x     x    .    .    |   .    x    .    .
+Shift                             .    x     .    .    .    |   .    x    .    .
+EvaluateDiscreteStates            .    .     x    .    .    |   .    .    .    .
+UpdateDiscreteStates              .    .     x    .    .    |   .    .    .    .
+EnterContinuousTimeMode           .    .     x    .    .    |   .    .    .    .
+CompletedIntegratorStep           .    .     .    x    .    |   .    .    .    .
+SetTime                           .    .     .    x    .    |   .    .    .    .
+SetContinuousStates               .    .     .    x    .    |   .    .    .    .
+GetContinuousStateDerivatives     .    x     x    x    x    |   .    .    .    .
+GetEventIndicators                .    x     x    x    x    |   .    .    .    .
+GetContinuousStates               .    x     x    x    x    |   .    .    .    .
+GetNominalsOfContinuousStates     .    x     x    x    x    |   .    .    .    .
+GetNumberOfEventIndicators        x    x     x    x    x    |   .    .    .    .
+GetNumberOfContinuousStates       x    x     x    x    x    |   .    .    .    .
+EnterStepMode                     .    .     .    .    .    |   .    .    .    .
+GetOutputDerivatives              .    .     .    .    .    |   .    .    x    x
+DoStep                            .    .     .    .    .    |   .    .    x    .
+ActivateModelPartition            .    .     .    .    .    |   .    .    .    .
 """
-CO_SIMULATION = """
-                                 instantiated initialization step terminated
-SetDebugLogging                       x            x           x       x
-EnterInitializationMode               x            .           .       .
-ExitInitializationMode                .            x           .       .
-EnterEventMode                        .            .           .       .
-Terminate                             .            .           x       .
-Reset                                 x            x           x       x
-GetFloat64                            x            x           x       x
-GetOther                              x            x           x       x
-SetFloat64                            x            x           x       .
-SetOther                              x            x           x       .
-GetClock                              .            .           .       .
-SetClock                              .            .           .       .
-GetNumberOfVariableDependencies       .            .           .       .
-GetVariableDependencies               .            .           .       .
-GetFMUState                           x            x           x       x
-SetFMUState                           x            x           x       x
-FreeFMUState                          x            x           x       x
-SerializedFMUStateSize                x            x           x       x
-SerializeFMUState                     x            x           x       x
-DeserializeFMUState                   x            x           x       x
-GetDirectionalDerivative              .            x           x       x
-GetAdjointDerivative                  .            x           x       x
-EnterConfigurationMode                .            .           .       .
-ExitConfigurationMode                 .            .           .       .
-Interval                              .            x           .       .
-Shift                                 .            x           .       .
-EvaluateDiscreteStates                .            .           .       .
-UpdateDiscreteStates                  .            .           .       .
-EnterContinuousTimeMode               .            .           .       .
-CompletedIntegratorStep               .            .           .       .
-SetTime                               .            .           .       .
-SetContinuousStates                   .            .           .       .
-GetContinuousStateDerivatives         .            .           .       .
-GetEventIndicators                    .            .           .       .
-GetContinuousStates                   .            .           .       .
-GetNominalsOfContinuousStates         .            .           .       .
-GetNumberOfEventIndicators            .            .           .       .
-GetNumberOfContinuousStates           .            .           .       .
-EnterStepMode                         .            .           .       .
-GetOutputDerivatives                  .            .           x       x
-DoStep                                .            .           x       .
-ActivateModelPartition                .            .           .       .
-"""
-
-
-def rows(table):
-    columns, *lines = (line.split() for line in table.strip("\n").splitlines())
-    return [
-        pytest.param(function, dict(zip(columns, marks, strict=True)), id=function)
-        for function, *marks in lines
-    ]
 
 
 def functions(row):
@@ -127,12 +74,12 @@ def functions(row):
 def bring(fmu, mode):
     """Walk to a state by the calls that lead there."""
     way = {
-        "instantiated": (),
-        "initialization": ("Enter",),
+        "inst": (),
+        "init": ("Enter",),
         "event": ("Enter", "ExitInitializationMode"),
         "step": ("Enter", "ExitInitializationMode"),
-        "continuous": ("Enter", "ExitInitializationMode", "EnterContinuousTimeMode"),
-        "terminated": ("Enter", "ExitInitializationMode", "Terminate"),
+        "cont": ("Enter", "ExitInitializationMode", "EnterContinuousTimeMode"),
+        "term": ("Enter", "ExitInitializationMode", "Terminate"),
     }[mode]
     for step in way:
         assert (fmu.enter() if step == "Enter" else fmu(step)) == OK
@@ -176,11 +123,8 @@ def call(fmu, function, snapshot, blob):
 
 
 def check(fmu, function, mode, mark):
-    snapshot, size = c_void_p(), c_size_t()
-    assert fmu("GetFMUState", byref(snapshot)) == OK
-    assert fmu("SerializedFMUStateSize", snapshot, byref(size)) == OK
-    blob = (c_char * size.value)()
-    assert fmu("SerializeFMUState", snapshot, blob, size.value) == OK
+    snapshot = fmu.take()
+    blob = fmu.serialize(snapshot)
     bring(fmu, mode)
     fmu.messages.clear()
     status = call(fmu, function, snapshot, blob)
@@ -193,15 +137,8 @@ def check(fmu, function, mode, mark):
     fmu("FreeFMUState", byref(snapshot))
 
 
-@pytest.mark.parametrize(("row", "marks"), rows(MODEL_EXCHANGE))
-def test_model_exchange_follows_the_table(fmi3, row, marks):
+@pytest.mark.parametrize(("interface", "row", "marks"), rows_of(TABLE))
+def test_functions_follow_the_table(fmi3, interface, row, marks):
     for function in functions(row):
         for mode, mark in marks.items():
-            check(fmi3(), function, mode, mark)
-
-
-@pytest.mark.parametrize(("row", "marks"), rows(CO_SIMULATION))
-def test_co_simulation_follows_the_table(fmi3, row, marks):
-    for function in functions(row):
-        for mode, mark in marks.items():
-            check(fmi3(1), function, mode, mark)
+            check(fmi3(interface), function, mode, mark)

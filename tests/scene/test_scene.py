@@ -291,26 +291,29 @@ def test_invalid_scene_is_rejected_with_file_and_line(write, old, new, error, me
     assert str(caught.value).startswith(str(path))
 
 
-def test_bytes_that_are_not_text_are_rejected(write):
-    with pytest.raises(UsageError, match=r"scene\.toml is not a UTF-8 text"):
-        read_scene(write(b"title = '\xff'"))
+TWO_FIGURES = GOOD + '\n[[figures]]\ntitle = "Torque"\npanels = [\n  ["theta"],\n  ["M_ph"],\n]\n'
+LONG_LIST = GOOD.replace('[["theta"], ["M_phi"]]', '[\n  ["theta"],\n  ["M_phi"]\n]')
 
 
-def test_calculated_start_is_rejected_with_the_names_that_can_be_set(write):
-    text = 'model = "bicycle"\n[start]\ntheta = 0.1\n'
-    with pytest.raises(InitialConditionError, match=r"line 3: .*theta is calculated.*phi, delta"):
-        read_scene(write(text))
-
-
-def test_state_whose_start_is_a_parameter_is_rejected_with_the_parameters(write):
-    text = 'model = "double_pendulum"\n[start]\nq1_w = 0.0\n'
-    with pytest.raises(InitialConditionError, match=r"line 3: .*q1_w is calculated.*psi1_0"):
-        read_scene(write(text))
-
-
-def test_inertia_that_no_body_has_is_rejected(write):
-    text = 'model = "bicycle"\n[parameters]\nIBxx = 30.0\n'
-    with pytest.raises(ParameterError, match=r"scene\.toml: .* principal moments"):
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        pytest.param(b"title = '\xff'", UsageError, r"scene\.toml is not a UTF-8 text", id="bytes"),
+        pytest.param('model = "bicycle"\n[start]\ntheta = 0.1\n', InitialConditionError,
+                     r"line 3: .*theta is calculated.*phi, delta", id="calculated start"),
+        pytest.param('model = "double_pendulum"\n[start]\nq1_w = 0.0\n', InitialConditionError,
+                     r"line 3: .*q1_w is calculated.*psi1_0", id="start by a parameter"),
+        pytest.param('model = "bicycle"\n[parameters]\nIBxx = 30.0\n', ParameterError,
+                     r"scene\.toml: .* principal moments", id="inertia that no body has"),
+        pytest.param('model = "crank_shaft"\noutputs = [\n  "T",\n  "fx_A",\n  "fx_C",\n]\n',
+                     UnknownName, r"line 5: .*'fx_C'; did you mean .*fx_A", id="in a long list"),
+        pytest.param(LONG_LIST + "equl = true\n", UnknownName,
+                     r"line 29: \[figures\] has no key 'equl'", id="after a long list"),
+        pytest.param(TWO_FIGURES, UnknownName, r"line 31: .*'M_ph'", id="second figure"),
+    ],
+)  # fmt: skip
+def test_wrong_scene_is_rejected_with_its_line(write, text, error, message):
+    with pytest.raises(error, match=message):
         read_scene(write(text))
 
 
@@ -319,24 +322,6 @@ def test_input_that_is_constant_and_a_series_is_rejected(write):
     text = GOOD.replace("T2 = 0.01", 'T2 = 0.01\nfile = "torque.csv"')
     with pytest.raises(UsageError, match=r"line 13: T2 is also a column of torque\.csv"):
         read_scene(write(text))
-
-
-def test_line_within_a_list_of_several_lines_is_named(write):
-    text = 'model = "crank_shaft"\noutputs = [\n  "T",\n  "fx_A",\n  "fx_C",\n]\n'
-    with pytest.raises(UnknownName, match=r"line 5: .*'fx_C'; did you mean .*fx_A"):
-        read_scene(write(text))
-
-
-def test_line_of_the_second_figure_is_named(write):
-    text = GOOD + '\n[[figures]]\ntitle = "Torque"\npanels = [\n  ["theta"],\n  ["M_ph"],\n]\n'
-    with pytest.raises(UnknownName, match=r"line 31: .*'M_ph'"):
-        read_scene(write(text))
-
-
-def test_line_after_a_list_of_several_lines_is_named(write):
-    text = GOOD.replace('[["theta"], ["M_phi"]]', '[\n  ["theta"],\n  ["M_phi"]\n]')
-    with pytest.raises(UnknownName, match=r"line 29: \[figures\] has no key 'equl'"):
-        read_scene(write(text + "equl = true\n"))
 
 
 def test_scene_from_python_rejects_what_a_file_must_not_contain():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.event_models import ball, stopping
-from helpers.small_models import decay
+from helpers.small_models import decay, growing
 
 import cosim
 from casadi_models.dae import Model
@@ -11,17 +11,6 @@ from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 
 N = 5
 RATES = np.array([0.0, 0.5, 1.0, 2.0, 100.0])
-
-
-def blow_up():
-    """Return x' = x^2 + u: infinite at 1 / x(0) where u is 0."""
-    model = Model("blow_up_of_copies", stop_time=2.0)
-    x = model.state("x", "1", 1.0, "what grows")
-    u = model.input("u", "1/s", 0.0, "push")
-    model.derivative(x, x**2 + u)
-    model.output("twice", "1", 2 * x + u, "output of state and input")
-    model.limit(0.7 - x, "x stays below 0.7")
-    return model.freeze()
 
 
 def both(build):
@@ -58,7 +47,7 @@ def test_copies_follow_the_closed_form_with_inputs_and_parameters_of_their_own(s
 
 
 def test_an_output_follows_an_input_that_is_set():
-    for copies in both(blow_up):
+    for copies in both(growing):
         copies.set(u=np.arange(N))
         np.testing.assert_array_equal(copies["twice"], 2.0 + np.arange(N))
         assert copies.time == 0.0
@@ -66,7 +55,7 @@ def test_an_output_follows_an_input_that_is_set():
 
 def test_a_copy_that_fails_disturbs_no_other():
     start = {"x": [0.0, 0.1, 2.0, -1.0, 0.5]}
-    with cosim.open(blow_up(), copies=N, start_values=start) as copies:
+    with cosim.open(growing(), copies=N, start_values=start) as copies:
         copies.advance(to=0.75)
         np.testing.assert_array_equal(copies.running, [True, True, False, True, True])
         x = copies["x"]
@@ -91,7 +80,7 @@ def test_a_copy_that_fails_disturbs_no_other():
 
 def test_a_violated_condition_is_named_with_its_time():
     """x = tan t exceeds 0.7 at atan 0.7."""
-    with cosim.open(blow_up(), start_values={"x": 0.0, "u": 1.0}) as session:
+    with cosim.open(growing(), start_values={"x": 0.0, "u": 1.0}) as session:
         session.advance(to=0.6)
         assert session.invalid is None
         saved = session.save()
@@ -105,7 +94,7 @@ def test_a_violated_condition_is_named_with_its_time():
         assert session.invalid.time == 0.0
     start = {"x": [0.0, -1.0], "u": 1.0}
     for solver in (None, "erk"):
-        with cosim.open(blow_up(), copies=2, start_values=start, solver=solver) as copies:
+        with cosim.open(growing(), copies=2, start_values=start, solver=solver) as copies:
             copies.advance(to=0.9)
             assert list(copies.invalid) == [0]
             assert copies.invalid[0].time == pytest.approx(np.arctan(0.7), abs=1e-6)
@@ -196,7 +185,7 @@ def test_saved_copies_of_another_model_or_number_are_refused():
     with cosim.open(decay(), copies=N) as five, cosim.open(decay(), copies=2) as two:
         with pytest.raises(UsageError, match="another number"):
             two.restore(five.save())
-        with cosim.open(blow_up(), copies=N) as other, pytest.raises(UsageError, match="another"):
+        with cosim.open(growing(), copies=N) as other, pytest.raises(UsageError, match="another"):
             other.restore(five.save())
 
 

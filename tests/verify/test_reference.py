@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.oscillators import blow_up
 
 import cosim
 from casadi_models.dae import Dae, Model
@@ -19,14 +20,6 @@ def oscillator(damping: float = 0.2) -> Dae:
     b = model.parameter("b", "1", damping, "damping")
     model.derivative(x, v)
     model.derivative(v, -x - b * v)
-    return model.freeze()
-
-
-def blow_up() -> Dae:
-    """Return x' = x^2, which reaches infinity at 1 s."""
-    model = Model("blow_up", stop_time=2.0)
-    x = model.state("x", "1", 1.0, "what grows")
-    model.derivative(x, x**2)
     return model.freeze()
 
 

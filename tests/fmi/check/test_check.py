@@ -6,6 +6,7 @@ import zipfile
 import pytest
 from fmpy.validation import validate_fmu
 from helpers.fmu_files import (
+    library,
     remove,
     repeat_child,
     rewritten,
@@ -126,15 +127,8 @@ def test_what_fmpy_lets_pass_is_the_larger_part(exported, tmp_path):
     assert len(passed) > len(FAULTS) / 2
 
 
-def library(path) -> str:
-    with zipfile.ZipFile(path) as archive:
-        return next(name for name in archive.namelist() if name.startswith("binaries/"))
-
-
 def test_library_under_another_name_is_found(exported, tmp_path):
-    inside = library(exported(NAME))
-    with zipfile.ZipFile(exported(NAME)) as archive:
-        content = archive.read(inside)
+    inside, content = library(exported(NAME))
     moved = {inside: None, inside.replace("bar_on", "barn"): content}
     path = rewritten(exported(NAME), tmp_path / "faulty.fmu", moved)
     assert check_fmu(path) == [f"{inside} is missing"]
@@ -150,10 +144,8 @@ def test_library_under_another_name_is_found(exported, tmp_path):
     ],
 )
 def test_fault_in_the_library_is_found(change, problem, exported, tmp_path):
-    inside = library(exported(NAME))
-    with zipfile.ZipFile(exported(NAME)) as archive:
-        content = change(archive.read(inside))
-    path = rewritten(exported(NAME), tmp_path / "faulty.fmu", {inside: content})
+    inside, content = library(exported(NAME))
+    path = rewritten(exported(NAME), tmp_path / "faulty.fmu", {inside: change(content)})
     assert any(problem in found for found in check_fmu(path)), check_fmu(path)
 
 

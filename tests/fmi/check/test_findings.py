@@ -4,44 +4,19 @@ import json
 import re
 import subprocess
 import sys
-import zipfile
 from xml.etree import ElementTree as ET
 
 import pytest
-from helpers.fmu_files import remove, repeat_child, rewritten, set_attributes, with_description
+from helpers.fmu_files import library, remove, rewritten, set_attributes, with_description
 
 from cosim.cli.main import main
 from cosim.codegen.compiler import find_compiler
 from cosim.fmi.check.check import examine
-from cosim.fmi.check.finding import ADVICE, WRONG, Finding
+from cosim.fmi.check.finding import ADVICE, Finding
 
 NAME = "bar_on_frame/reduced"
 VARIABLE = "ModelVariables/ScalarVariable[@name='{}']"
 REAL = f"{VARIABLE}/Real"
-DAMAGED = {
-    ("token", "modelDescription.xml"): set_attributes(".", guid=""),
-    ("version", "modelDescription.xml"): set_attributes(".", fmiVersion="1.0"),
-    ("identifier", "CoSimulation"): set_attributes("CoSimulation", modelIdentifier="../bar"),
-    ("number", "variable 'theta'"): set_attributes(REAL.format("theta"), start="NaN"),
-    ("start", "variable 'theta'"): set_attributes(REAL.format("theta"), start=None),
-    ("bounds", "variable 'm'"): set_attributes(REAL.format("m"), min="5"),
-    ("nominal", "variable 'm'"): set_attributes(REAL.format("m"), nominal="0"),
-    ("causality", "variable 'm'"): set_attributes(VARIABLE.format("m"), variability="continuous"),
-    ("derivative", "variable 'der(theta)'"): set_attributes(
-        REAL.format("der(theta)"), derivative="999"
-    ),
-    ("unit", "modelDescription.xml"): remove("UnitDefinitions", "Unit[@name='kg']"),
-    ("structure", "Outputs"): repeat_child("ModelStructure/Outputs"),
-    ("sources", "archive"): set_attributes("CoSimulation/SourceFiles/File", name="gone.c"),
-}
-
-
-@pytest.mark.parametrize(("rule", "place"), DAMAGED)
-def test_fault_is_found_by_rule_and_place(rule, place, exported, tmp_path):
-    path = with_description(exported(NAME), tmp_path / "faulty.fmu", DAMAGED[rule, place])
-    found = {(one.rule, one.place) for one in examine(path) if one.level == WRONG}
-    assert (rule, place) in found
-    assert all(one.remedy and one.found for one in examine(path))
 
 
 def test_what_only_our_own_files_keep_is_no_finding(exported, tmp_path):
@@ -52,26 +27,6 @@ def test_what_only_our_own_files_keep_is_no_finding(exported, tmp_path):
     ):
         path = with_description(exported(NAME), tmp_path / "other.fmu", edit)
         assert examine(path) == ()
-
-
-def library(path) -> tuple[str, bytes]:
-    with zipfile.ZipFile(path) as archive:
-        inside = next(name for name in archive.namelist() if name.startswith("binaries/"))
-        return inside, archive.read(inside)
-
-
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        (lambda b: b.replace(b"fmi2DoStep\0", b"fmi2NoStep\0"), "functions"),
-        (lambda b: b[:1000], "binary"),
-        (lambda b: b"#!/bin/sh\n" + b, "binary"),
-    ],
-)
-def test_fault_in_the_library_is_found(change, rule, exported, tmp_path):
-    inside, content = library(exported(NAME))
-    path = rewritten(exported(NAME), tmp_path / "faulty.fmu", {inside: change(content)})
-    assert (WRONG, rule, inside) in {(f.level, f.rule, f.place) for f in examine(path)}
 
 
 def test_token_elsewhere_is_advice_only(exported, tmp_path):

@@ -6,7 +6,14 @@ import zipfile
 from xml.etree import ElementTree as ET
 
 import pytest
-from helpers.fmu_files import remove, repeat_child, rewritten, set_attributes, with_description
+from helpers.fmu_files import (
+    library,
+    remove,
+    repeat_child,
+    rewritten,
+    set_attributes,
+    with_description,
+)
 
 from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.check import examine
@@ -82,12 +89,6 @@ FOREIGN = mach(
 )
 LED_ASTRAY = mach(named(0x8000001C, b"/Users/me/lib"), named(0x8000001C, b"@loader_path"))
 IN_DARWIN = "binaries/darwin64/bar_on_frame_reduced.dylib"
-
-
-def library(source) -> tuple[str, bytes]:
-    with zipfile.ZipFile(source) as archive:
-        name = next(n for n in archive.namelist() if n.startswith("binaries/") and "." in n)
-        return name, archive.read(name)
 
 
 def faulty(rule: str, exported, folder):

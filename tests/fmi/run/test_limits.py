@@ -47,16 +47,21 @@ def test_limit_that_is_none_is_refused(monkeypatch, text):
         chosen_limits()
 
 
-@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_signal_leaves_neither_folder_nor_process(bad, tmp_path, kind):
-    call = [sys.executable, "-m", "cosim", "simulate", str(bad("fmi2DoStep deaf")), "--trust"]
-    process = subprocess.Popen(
-        call, env={**os.environ, "TMPDIR": str(tmp_path)}, stderr=subprocess.PIPE, text=True
-    )
+def begun(path, folder):
+    """Return the process of a run once it has unpacked the FMU in a folder."""
+    call = [sys.executable, "-m", "cosim", "simulate", str(path), "--trust"]
+    environment = {**os.environ, "TMPDIR": str(folder)}
+    process = subprocess.Popen(call, env=environment, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 40
-    while not list(tmp_path.glob("*/temporary/cosim-*/resources")):
+    while not list(folder.glob("*/temporary/cosim-*/resources")):
         assert time.monotonic() < end
         time.sleep(0.05)
+    return process
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_signal_leaves_neither_folder_nor_process(bad, tmp_path, kind):
+    process = begun(bad("fmi2DoStep deaf"), tmp_path)
     process.send_signal(kind)
     _, told = process.communicate(timeout=30)
     assert process.returncode == (130 if kind == signal.SIGINT else -kind)
@@ -65,14 +70,9 @@ def test_signal_leaves_neither_folder_nor_process(bad, tmp_path, kind):
 
 
 def test_what_a_killed_command_left_is_removed_by_the_next(bad, tmp_path, monkeypatch):
-    call = [sys.executable, "-m", "cosim", "simulate", str(bad("fmi2DoStep hang")), "--trust"]
-    process = subprocess.Popen(call, env={**os.environ, "TMPDIR": str(tmp_path)})
-    end = time.monotonic() + 40
-    while not list(tmp_path.glob("*/temporary/cosim-*/resources")):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    process = begun(bad("fmi2DoStep hang"), tmp_path)
     process.kill()
-    process.wait()
+    process.communicate()
     assert len(list(tmp_path.iterdir())) == 1
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     run_apart(bad("none at all"), interface="CoSimulation")

@@ -2,14 +2,12 @@
 
 import ctypes
 import re
-import zipfile
-from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
 from helpers.fmi_cases import INTERFACES, VERSIONS
-from helpers.fmu_files import remove, rewritten, set_attributes, with_description
+from helpers.fmu_files import library, remove, rewritten, set_attributes, with_description
 
 import cosim
 from cosim.errors import (
@@ -134,12 +132,6 @@ def test_library_is_looked_for_in_its_own_folder_only(identifier, fmus, tmp_path
     path = with_description(fmus["decay", 2], tmp_path / "x.fmu", edit)
     with pytest.raises(SecurityError, match="is no C name"):
         cosim.simulate_fmu(path)
-
-
-def library(path: Path) -> tuple[str, bytes]:
-    with zipfile.ZipFile(path) as archive:
-        name = next(name for name in archive.namelist() if name.startswith("binaries/"))
-        return name, archive.read(name)
 
 
 @VERSIONS
