@@ -83,7 +83,7 @@ def reject_instability(
     Raises:
         SolverError: They do; `partial` is the run.
     """
-    step = run.stats["macro_step"]
+    step, method = run.stats["macro_step"], run.stats["solver"].rpartition(" ")[2]
     found = None if ranges.are_quiet else _instability(ranges, lambda n: again(n * step))
     if found is None:
         return
@@ -96,8 +96,8 @@ def reject_instability(
     elif other and not other.grow:
         shorter = f"give at most {factor * step:g} s"
     why = (
-        f"the coupling is unstable with the macro step {step:g} s: the input {inputs[place]} moves "
-        f"by {ranges.widths[1, place]:.2g}, and with {factor * step:g} s {moves}; {shorter}, or "
+        f"the macro step {step:g} s is too long for {method}: the input {inputs[place]} moves by "
+        f"{ranges.widths[1, place]:.2g}, and with {factor * step:g} s {moves}; {shorter}, or "
         "accuracy with the method iterated"
     )
     raise SolverError(f"{run.model}: {why}", replace(run, status=f"stopped: {why}"))
@@ -120,11 +120,11 @@ def _instability(
             return half, 1 / 2
         if given.agree(half):
             return None
-        quarter = again(1 / 4)  # two unstable runs may grow alike
+        quarter = again(1 / 4)  # two unstable runs may be equally large
     except (SolverError, UsageError):  # as where a part has steps of one length
         return _with_twice(given, again) if given.grow else None
     differ = half.exceed(quarter) or quarter.exceed(half)
-    differ |= half.exceed(given) and not half.agree(quarter)
+    differ |= (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter)
     return (quarter, 1 / 4) if differ else None
 
 
