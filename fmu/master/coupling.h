@@ -138,6 +138,17 @@ static inline int back_to_event(Coupling *self) {
     return recorded ? record_all(self, system->rows - 1) : DONE;
 }
 
+/* Extend the ranges of the inputs by the present point. */
+static inline void extend_ranges(const Coupling *self) {
+    const System *system = self->system;
+    const long long m = system->inputs;
+    const int late = self->now.t > 0.5 * (system->start + system->stop);
+    for (long long i = late ? m : 0; i < 2 * m; ++i) {
+        system->lowest[i] = fmin(system->lowest[i], self->now.u[i % m]);
+        system->highest[i] = fmax(system->highest[i], self->now.u[i % m]);
+    }
+}
+
 /* The point that has been reached becomes the present one. */
 static inline int arrive(Coupling *self) {
     System *system = self->system;
@@ -161,6 +172,7 @@ static inline int arrive(Coupling *self) {
     if (how != DONE) return how;
     for (long long k = 0; k < system->inputs; ++k)
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
+    extend_ranges(self);
     ++system->macro_steps;
     self->event = self->missed = INFINITY;
     self->standstills = self->unreached = self->inevitable = 0;
@@ -420,6 +432,7 @@ static inline int run_from_start(Coupling *self) {
     self->rateless = 1;
     const int how = in_event_mode ? let_happen(self) : settle(self, &self->now);
     if (how != DONE) return how;
+    extend_ranges(self);
     const int recorded = record_next(self);
     if (recorded != DONE) return recorded;
     if (gather_crew(self)) return CALL_FAILED;

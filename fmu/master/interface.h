@@ -36,6 +36,7 @@ typedef struct {
     double refinement; /* the longest and the first macro steps, of the usual ones */
     long long method;
     long long threads; /* whether parts step at the same time, where their order does not matter */
+    double *lowest, *highest; /* inputs in the first half of the run, then in all of it */
     bool *at_jumps;    /* rows within steps that no shortening makes accurate: either side counts */
     long long *called; /* the part that is being called, for who looks on; NULL */
     /* answers */

@@ -28,6 +28,7 @@ from cosim.coupling.failures import (
 )
 from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
+from cosim.coupling.stability import Ranges, reject_instability
 from cosim.errors import Interrupted, SolverError, UsageError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
@@ -179,12 +180,19 @@ class CoSimulation:
         began = perf_counter()
         with noted_calls(list(self.parts)) as called:
             task = _Task(settings, values, self._columns(outputs), called)
-            if settings.macro_step is not None:
-                of_parts = settings.tolerance or _TOLERANCE
-                run, _ = self._once(task, OF_A_RUN * of_parts, of_parts)
-            else:
-                run = self._accurate(task)
-        return replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
+            of_parts = settings.tolerance or _TOLERANCE
+
+            def given(step: float) -> tuple[Trajectory, Ranges]:
+                own = replace(task, settings=replace(settings, macro_step=step))
+                return self._once(own, OF_A_RUN * of_parts, of_parts)[::2]
+
+            step = settings.macro_step
+            run, ranges = (self._accurate(task), None) if step is None else given(step)
+            run = replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
+            if ranges:
+                inputs = [".".join(name) for name in self._inputs]
+                reject_instability(run, ranges, inputs, lambda step: given(step)[1])
+        return run
 
     def _accurate(self, task: _Task) -> Trajectory:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
@@ -197,7 +205,7 @@ class CoSimulation:
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run, jumps = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
+                run, jumps, _ = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
             except SolverError as error:
                 if last is None or isinstance(error, EndlessEvents):
                     raise
@@ -267,8 +275,8 @@ class CoSimulation:
 
     def _once(
         self, task: _Task, tolerance: float, of_parts: float, refinement: float = 1.0
-    ) -> tuple[Trajectory, Truths]:
-        """Simulate once; return the run, and which output times lie at jumps, (times,).
+    ) -> tuple[Trajectory, Truths, Ranges]:
+        """Simulate once; return the run, which output times lie at jumps, (times,), and ranges.
 
         Args:
             task: What to simulate.
@@ -289,6 +297,8 @@ class CoSimulation:
         steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
         parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
+        sizes = scale[:-1].copy()
+        reached = np.full((2, 2, len(self._inputs)), [[[np.inf]], [[-np.inf]]])
         guess = np.array([*map(start_number, self._input_variables), 0.0])
         system = SystemOfC(
             parts=parts,
@@ -312,6 +322,8 @@ class CoSimulation:
             refinement=refinement,
             method=list(Method).index(settings.method),
             threads=settings.threads,
+            lowest=reached[0].ctypes.data,
+            highest=reached[1].ctypes.data,
             at_jumps=jumps.ctypes.data,
             called=ctypes.addressof(task.called),
         )
@@ -330,7 +342,7 @@ class CoSimulation:
                 library.run_coupled(ctypes.byref(system))
         del held
         run = self._result(system, settings, times, tables, columns, parts, bool(interrupts))
-        return run, jumps
+        return run, jumps, Ranges(reached[0], reached[1], sizes, float(system.mismatch))
 
     def _result(
         self,

@@ -180,6 +180,7 @@ class System:
                 values; the macro steps are chosen for it, and checked by a second run with
                 others. 1e-6 if neither this nor `macro_step` is given.
             macro_step: Instead of `accuracy`, s; events end macro steps of the methods of order 4.
+                If the inputs grow, up to two runs with shorter ones check why.
             method: "iterated" (default; order 4: macro steps are repeated until the inputs at
                 their end agree with the outputs), "extrapolated" (order 4, without repetition),
                 "gauss_seidel" or "jacobi" (order 1: inputs are constant within a macro step).
@@ -206,8 +207,8 @@ class System:
 
         Raises:
             UnknownName, UsageError, ParameterError: An argument is wrong.
-            SolverError: A part failed, or a loop of direct feedthrough has no solution; `partial`
-                is the run up to there.
+            SolverError: A part failed, a loop of direct feedthrough has no solution, or the method
+                is unstable with `macro_step`; `partial` is the run up to there.
             MissingTool: There is no compiler.
         """
         settings = Settings(

@@ -22,8 +22,8 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
-from cosim.integrate.location import Passed, Piece, located, with_input_rates, with_slopes
-from cosim.integrate.modes import Instant, blended, hybrid, sliding
+from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
+from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps

@@ -1,9 +1,7 @@
 """Where the relations of a hybrid model leave their modes along the motion of a solver."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import compress, count
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +15,7 @@ from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.kernel import Kernel, Rows
-from cosim.integrate.modes import Instant, Watched, hybrid, watch
+from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
@@ -47,43 +45,6 @@ class Located(NamedTuple):
     at: Instant
     crossing: frozenset[int]
     first: int
-
-
-class Passed(NamedTuple):
-    """An event that the solver itself went through.
-
-    Attributes:
-        before, after: Its instant.
-        events: Positions of the model's events that happened there, in their order.
-        zero: Relations whose arguments were 0.
-    """
-
-    before: Instant
-    after: Instant
-    events: list[int]
-    zero: frozenset[int]
-
-
-def passed_events(events: NDArray[np.void], inputs: Sequence[Vector]) -> list[Passed]:
-    """Return events from their records.
-
-    Args:
-        events: The records; see `event_type`.
-        inputs: Inputs of the model, and their slopes, one row per event.
-    """
-    times = events["time"].tolist()
-
-    def instants(side: NDArray[np.void]) -> list[Instant]:
-        rows = zip(times, side["x"], side["z"], *inputs, side["modes"], strict=True)
-        return [Instant(t, x, z, u, du, modes) for t, x, z, u, du, modes in rows]
-
-    zeros = [frozenset(compress(count(), row)) for row in events["zero"].tolist()]
-    orders = [
-        [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)]
-        for order in events["order"].tolist()
-    ]
-    sides = instants(events["before"]), instants(events["after"])
-    return [Passed(*row) for row in zip(*sides, orders, zeros, strict=True)]
 
 
 class Piece:

@@ -1,11 +1,14 @@
 """Relations of a hybrid model along a motion, and the instants of a run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress, count
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from casadi import MX
+from numpy.typing import NDArray
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
@@ -167,3 +170,40 @@ class Instant:
         z = np.concatenate((self.z, np.zeros(own.dae.z.numel() - len(self.z))))
         rows = self.x[None], z[None], self.inputs[None], self.slopes[None]
         return watch(own, np.array([self.t]), rows, p)
+
+
+class Passed(NamedTuple):
+    """An event that the solver itself went through.
+
+    Attributes:
+        before, after: Its instant.
+        events: Positions of the model's events that happened there, in their order.
+        zero: Relations whose arguments were 0.
+    """
+
+    before: Instant
+    after: Instant
+    events: list[int]
+    zero: frozenset[int]
+
+
+def passed_events(events: NDArray[np.void], inputs: Sequence[Vector]) -> list[Passed]:
+    """Return events from their records.
+
+    Args:
+        events: The records; see `event_type`.
+        inputs: Inputs of the model, and their slopes, one row per event.
+    """
+    times = events["time"].tolist()
+
+    def instants(side: NDArray[np.void]) -> list[Instant]:
+        rows = zip(times, side["x"], side["z"], *inputs, side["modes"], strict=True)
+        return [Instant(t, x, z, u, du, modes) for t, x, z, u, du, modes in rows]
+
+    zeros = [frozenset(compress(count(), row)) for row in events["zero"].tolist()]
+    orders = [
+        [i for _, i in sorted((n, i) for i, n in enumerate(order) if n)]
+        for order in events["order"].tolist()
+    ]
+    sides = instants(events["before"]), instants(events["after"])
+    return [Passed(*row) for row in zip(*sides, orders, zeros, strict=True)]

@@ -64,6 +64,8 @@ def test_command_line_writes_table_and_figure(tmp_path, capsys):
     assert len(rows) == 8
     by = {(row["method"], float(row["step"])): row for row in rows}
     assert float(by["jacobi", 0.0025]["error"] or np.inf) > 10  # a stiff hinge diverges
+    assert "0.02 s is too long for jacobi" in by["jacobi", 0.02]["status"]
+    assert not by["jacobi", 0.02]["error"]
     assert float(by["iterated", 0.0025]["error"]) < 1e-3
     assert figure.read_bytes().startswith(b"\x89PNG")
     assert "iterated" in capsys.readouterr().out

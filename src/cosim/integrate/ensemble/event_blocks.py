@@ -28,8 +28,7 @@ from cosim.integrate.events import records_of
 from cosim.integrate.families.explicit import Dop853, block_library
 from cosim.integrate.growth import growth_in
 from cosim.integrate.initial_values import consistent_values
-from cosim.integrate.location import Passed, passed_events
-from cosim.integrate.modes import hybrid, sliding
+from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare

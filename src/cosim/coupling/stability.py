@@ -1,0 +1,139 @@
+"""Rejection of runs with a given macro step in which inputs grow by the coupling method.
+
+One run does not show it, since an unstable plant grows, too. A shorter macro step does: the growth
+by the parts stays about the same, that by the method vanishes or becomes far larger.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.arrays import Vector
+from cosim.errors import SolverError, UsageError
+from cosim.trajectory import Trajectory
+
+_CLOSE = 0.1  # difference of runs that agree in their course, of their size
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """The ranges of the inputs of a run.
+
+    Attributes:
+        lowest, highest: In its first half, and in all of it, (2, inputs).
+        sizes: Nominal values of the inputs, (inputs,).
+        mismatch: Largest difference of inputs and outputs, in the sizes of the inputs.
+    """
+
+    lowest: Vector
+    highest: Vector
+    sizes: Vector
+    mismatch: float
+
+    @property
+    def widths(self) -> Vector:
+        """In the first half, and in all of the run, (2, inputs)."""
+        return self.highest - self.lowest
+
+    @property
+    def grow(self) -> bool:
+        """Whether an input moves far more in the second half of the run than in the first."""
+        return self._any_far(self.widths[1], self.widths[0])
+
+    @property
+    def are_quiet(self) -> bool:
+        """Whether nothing hints at an instability."""
+        return self.mismatch < 1 and not self.grow
+
+    def _any_far(self, more: Vector, less: Vector) -> bool:
+        # an oscillation of a stable method about the solution is at most as large as this one
+        return bool((more > 2 * less + self.sizes).any())
+
+    def exceed(self, other: "Ranges") -> bool:
+        """Whether an input moves far more than in the other run."""
+        return self._any_far(self.widths[1], other.widths[1])
+
+    def agree(self, other: "Ranges") -> bool:
+        """Whether all inputs have the same course, as far as ranges show it."""
+        allowed = _CLOSE * (self.sizes + np.minimum(self.widths, other.widths)[1])
+        lower, upper = np.abs([self.lowest - other.lowest, self.highest - other.highest])
+        return bool((np.maximum(lower, upper) <= allowed).all())
+
+    def differing(self, other: "Ranges") -> int:
+        """Return the input whose range differs most from that in the other run."""
+        one, two = self.widths[1] + self.sizes, other.widths[1] + self.sizes
+        return int(np.argmax(np.maximum(one, two) / np.minimum(one, two)))
+
+
+def reject_instability(
+    run: Trajectory,
+    ranges: Ranges,
+    inputs: Sequence[str],
+    again: Callable[[float], Ranges],
+) -> None:
+    """Raise an error if inputs of a run grow by the method.
+
+    Args:
+        run: With a given macro step.
+        ranges: Of its inputs.
+        inputs: Their names.
+        again: Simulates with another macro step, s.
+
+    Raises:
+        SolverError: They do; `partial` is the run.
+    """
+    step, method = run.stats["macro_step"], run.stats["solver"].rpartition(" ")[2]
+    found = None if ranges.are_quiet else _instability(ranges, lambda n: again(n * step))
+    if found is None:
+        return
+    other, factor = found
+    place = ranges.differing(other) if other else int(np.argmax(ranges.widths[1] / ranges.sizes))
+    moves = f"by {other.widths[1, place]:.2g}" if other else "the run fails"
+    shorter = "give a shorter macro_step"
+    if factor > 1:
+        shorter = "give a much shorter macro_step, if the parts allow it"
+    elif other and not other.grow:
+        shorter = f"give at most {factor * step:g} s"
+    why = (
+        f"the macro step {step:g} s is too long for {method}: the input {inputs[place]} moves by "
+        f"{ranges.widths[1, place]:.2g}, and with {factor * step:g} s {moves}; {shorter}, or "
+        "accuracy with the method iterated"
+    )
+    raise SolverError(f"{run.model}: {why}", replace(run, status=f"stopped: {why}"))
+
+
+def _instability(
+    given: Ranges, again: Callable[[float], Ranges]
+) -> tuple[Ranges | None, float] | None:
+    """Return the ranges with another macro step that show an instability, and its factor.
+
+    The ranges are None if the run with that step fails. Without an instability, there are none.
+
+    Args:
+        given: With the given macro step.
+        again: Simulates with so many times that step.
+    """
+    try:
+        half = again(1 / 2)
+        if given.exceed(half):
+            return half, 1 / 2
+        if given.agree(half):
+            return None
+        quarter = again(1 / 4)  # two unstable runs may be equally large
+    except (SolverError, UsageError):  # as where a part has steps of one length
+        return _with_twice(given, again) if given.grow else None
+    differ = half.exceed(quarter) or quarter.exceed(half)
+    differ |= (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter)
+    return (quarter, 1 / 4) if differ else None
+
+
+def _with_twice(
+    given: Ranges, again: Callable[[float], Ranges]
+) -> tuple[Ranges | None, float] | None:
+    """Return what `_instability` does, where no shorter step is possible."""
+    try:
+        twice = again(2)
+    except (SolverError, UsageError):
+        return None, 2
+    return (twice, 2) if twice.exceed(given) or given.exceed(twice) else None
