@@ -34,8 +34,8 @@ EXPORTED(page_room) void *page_room(size_t bytes) {
     return malloc(bytes);
 }
 
-/* The runtime hands over complete text, without what `printf` would replace. If there is no room for
-   all lines, the first ones stay, and the last one, which may say why the run ends. */
+/* The runtime hands over complete text, without what `printf` would replace. If there is no room
+   for all lines, the first ones stay, and the last one, which may say why the run ends. */
 static void keep(void *environment, fmi2String instance, fmi2Status status, fmi2String category,
                  fmi2String text, ...) {
     static size_t last;

@@ -55,7 +55,7 @@ class Curves {
       label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
       dash: i ? [4 + 2 * i, 4] : undefined,
-      width: i ? 1 : 1.8,
+      width: i ? 1 : 1.8 + 0.8 * Math.min(3, columns.length - 1 - position), // equal ones show as an edge
       points: { show: false },
       value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
     })));
@@ -119,7 +119,7 @@ class Curves {
   }
 
   show(t) {
-    const [row] = station(this.results[0].curves.time, t);
+    const [before, after, s] = station(this.results[0].curves.time, t), row = s < 0.5 ? before : after;
     for (const { plot, mark } of this.charts) {
       mark.style.left = `${plot.valToPos(t, "x")}px`;
       plot.setLegend({ idx: row }, false);
