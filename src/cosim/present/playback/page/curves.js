@@ -54,8 +54,8 @@ class Curves {
     const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
       label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
-      dash: i ? [4 + 2 * i, 4] : undefined,
-      width: i ? 1 : 1.8 + 0.8 * Math.min(3, columns.length - 1 - position), // equal ones show as an edge
+      dash: i ? [4 + 2 * i, 4] : position && this.results.length < 2 ? [10, 3 + 2 * position] : undefined, // equal ones show
+      width: i ? 1 : 1.8,
       points: { show: false },
       value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
     })));
