@@ -20,7 +20,7 @@ def promises():
 
 @pytest.fixture(scope="module")
 def table():
-    text = (ROOT / "docs" / "kept.md").read_text(encoding="utf-8")
+    text = (ROOT / "benchmarks" / "results" / "kept.md").read_text(encoding="utf-8")
     lines = text.split("```console\n")[1].split("```")[0].splitlines()[1:]
     names, *rows = [line.split() for line in lines]
     return [dict(zip(names, row, strict=True)) for row in rows]

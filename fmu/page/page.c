@@ -14,7 +14,7 @@
 int drawn(const double **arg, double **res, long long *iw, double *w, int mem);
 int drawn_work(long long *arg, long long *res, long long *iw, long long *w);
 
-enum { MOST_TEXT = 100000 };
+enum { MOST_TEXT = 100000, MOST_LINE = 4000 };
 
 /* Variables by value reference, and their values. */
 typedef struct {
@@ -23,7 +23,7 @@ typedef struct {
     const double *values;
 } Settings;
 
-static char messages[MOST_TEXT];
+static char messages[MOST_TEXT + MOST_LINE];
 
 /* The messages of the last run, a line each. */
 EXPORTED(page_messages) const char *page_messages(void) {
@@ -34,16 +34,18 @@ EXPORTED(page_room) void *page_room(size_t bytes) {
     return malloc(bytes);
 }
 
-/* The runtime hands over complete text, without what `printf` would replace. The last line may take
-   the place of others. */
+/* The runtime hands over complete text, without what `printf` would replace. If there is no room
+   for all lines, the first ones stay, and the last one, which may say why the run ends. */
 static void keep(void *environment, fmi2String instance, fmi2Status status, fmi2String category,
                  fmi2String text, ...) {
+    static size_t last;
     const size_t used = strlen(messages), length = strlen(text);
+    const int full = used > MOST_TEXT;
     (void)environment, (void)instance, (void)category;
-    if (used + length + 2 > MOST_TEXT && status == fmi2OK) return;
-    char *end = messages + (used + length + 2 > MOST_TEXT ? 0 : used);
-    memcpy(end, text, length);
-    memcpy(end + length, "\n", 2);
+    if (length + 2 > MOST_LINE || (full && status == fmi2OK)) return;
+    if (!full) last = used;
+    memcpy(messages + last, text, length);
+    memcpy(messages + last + length, "\n", 2);
 }
 
 /* The picture behind the values of a row. */

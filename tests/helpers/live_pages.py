@@ -25,8 +25,8 @@ for (let k = 0; k < 7; ++k) {
 }
 const names = data.columns.map((column) => column.name);
 const values = run.curves.values.map((column) => Array.from(column));
-const { events, reasons } = run, time = Array.from(run.time);
-console.log(JSON.stringify({ time, names, values, events, reasons, milliseconds }));
+const { events, reasons, invalid_from } = run, time = Array.from(run.time);
+console.log(JSON.stringify({ time, names, values, events, reasons, invalid_from, milliseconds }));
 """
 
 

@@ -182,6 +182,12 @@ def test_ghosts_are_pale(run):
     assert "pale: spinning, cvodes" in texts
 
 
+def test_values_are_written_beside_each_of_several_poses(run):
+    played = playback(run, run.drawing, times=[0.0, 0.5], labels=["angle"])
+    texts = "\n".join(text.get_text() for text in draw_pose([played], [0, 1]).axes[0].texts)
+    assert "t = 0.00 s, angle = 0 deg\nt = 0.50 s, angle = 114.6 deg" in texts
+
+
 def test_everything_is_within_the_picture(run):
     for view in View:
         played = playback(run, run.drawing, times=[0.0, 0.5])

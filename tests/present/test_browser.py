@@ -190,3 +190,104 @@ def test_chart_shows_the_values_of_the_valid_part(tmp_path):
     since, shown, largest = asked(path, code, tmp_path)
     assert since == pytest.approx(4.48, abs=0.01)
     assert shown < 150 < 400 < largest
+
+
+def phone(path, code, folder):
+    """Return what JavaScript returns in a page on a phone."""
+    pytest.importorskip("websockets")
+    with opened(path, folder, (390, 844)) as page:
+        page.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=390,
+            height=844,
+            deviceScaleFactor=1,
+            mobile=True,
+        )
+        page.call("Emulation.setTouchEmulationEnabled", enabled=True)
+        return page.ask(FRAMES + code)
+
+
+def test_message_on_a_phone_leaves_the_bodies_to_be_seen(tmp_path):
+    run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = f"""
+        player.complaints = () => ["stopped at 1.68 s: the step from 1.68 to 1.69 came no further "
+            + "than 1.68249; invalid: the rear wheel would lift off", "another one"];
+        player.stale = true;
+        {FRAMES}
+        const [box, view] = ["alarm", "view"].map((name) => document.getElementById(name));
+        return [box.offsetHeight / view.offsetHeight, box.offsetHeight];
+    """
+    share, height = phone(path, code, tmp_path)
+    assert share < 0.25
+    assert height >= 44  # it unfolds under a finger
+
+
+def test_message_of_a_page_without_bodies_does_not_cover_its_title(tmp_path):
+    pytest.importorskip("ziglang")
+    model = cosim.Model("decay", stop_time=1.0)
+    x = model.state("x", "m", 1.0, "place")
+    model.derivative(x, -x)
+    path = animate(model.freeze(), tmp_path / "x.html")
+    code = f"""
+        player.complaints = () => ["invalid from 0 s: something"];
+        player.stale = true;
+        {FRAMES}
+        const [title, box, chart] = ["facts", "alarm", "charts"].map(
+            (name) => document.getElementById(name).getBoundingClientRect());
+        return [title.bottom <= box.top, box.bottom <= chart.top];
+    """
+    assert asked(path, code, tmp_path) == [True, True]
+
+
+def test_numbers_and_units_of_sliders_fit(tmp_path):
+    pytest.importorskip("ziglang")
+    path = animate(cosim.load("bar_on_frame"), tmp_path / "x.html")
+    code = """
+        const pen = document.createElement("canvas").getContext("2d"), range = new Range();
+        return [...document.querySelectorAll(".setting")].flatMap((line) => {
+            const field = line.querySelector("input[type=number]"), unit = line.lastElementChild;
+            const style = getComputedStyle(field);
+            const arrows = style.appearance === "textfield" ? 0 : 16;
+            pen.font = style.font;
+            const room = field.clientWidth - 2 * parseFloat(style.paddingLeft) - arrows;
+            range.selectNodeContents(unit);
+            const beyond = range.getBoundingClientRect().right > unit.getBoundingClientRect().right;
+            return beyond || pen.measureText("-15.3333").width > room ? [line.textContent] : [];
+        });
+    """
+    assert asked(path, code, tmp_path) == []
+
+
+def test_field_without_a_number_shows_the_value_that_counts(tmp_path):
+    pytest.importorskip("ziglang")
+    path = animate(cosim.load("bar_on_frame"), tmp_path / "x.html")
+    code = """
+        const field = document.querySelector("input[type=number]"), before = field.value;
+        field.value = "";
+        field.dispatchEvent(new Event("change"));
+        return [before, field.value];
+    """
+    before, after = asked(path, code, tmp_path)
+    assert after == before != ""
+
+
+def test_curves_that_coincide_are_all_seen(tmp_path):
+    run = cosim.simulate("disk_two_bars", stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = "return player.curves.charts[0].plot.series.slice(1).map((line) => line.dash || []);"
+    first, *others = asked(path, code, tmp_path)
+    assert first == []
+    gaps = [gap for _, gap in others]  # through which the curves below are seen
+    assert gaps == sorted({*gaps, 5})
+
+
+def test_legend_shows_the_values_of_the_present_time(tmp_path):
+    run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = f"""
+        player.go(player.end);
+        {FRAMES}
+        return document.querySelector(".u-legend .u-value").textContent;
+    """
+    assert asked(path, code, tmp_path) == "1 s"

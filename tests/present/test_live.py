@@ -45,6 +45,14 @@ def test_page_says_each_limit_once_and_why_the_run_ends(tmp_path):
     assert "came no further than" in facts[-1]
 
 
+def test_page_says_the_first_violation_of_a_run_with_many(tmp_path):
+    dae = cosim.load("bicycle")
+    found = computed(dae, {"speed": 2.0}, tmp_path)  # its last step violates a limit 1000 times
+    run = cosim.simulate(dae, start_values={"speed": 2.0}, stop_time=0.91, outputs=["fz_P"])
+    assert found["invalid_from"] == pytest.approx(run.stats["invalid"][0].time, abs=1e-4)
+    assert "came no further than" in found["reasons"][-1]
+
+
 def test_page_tells_events_with_their_times(tmp_path):
     found = computed(event_models.ball(), {}, tmp_path)
     first = np.sqrt(2 / 9.81)

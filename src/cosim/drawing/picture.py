@@ -162,8 +162,8 @@ class Stage:
     def _texts(self, axis: Axes, frames: Sequence[int]) -> None:
         first, left = self.runs[0], -self.width + 0.06
         lines = [first.title]
-        if len(frames) == 1:
-            lines.append(first.label_text(frames[0]))
+        if len(frames) == 1 or first.labels:
+            lines += [first.label_text(frame) for frame in frames]
         else:
             shown = ", ".join(f"{first.time[frame]:.4g}" for frame in frames)
             lines.append(f"t = {shown} s")

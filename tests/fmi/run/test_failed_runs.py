@@ -18,6 +18,7 @@ from cosim.errors import (
     UsageError,
 )
 from cosim.fmi.archive import DESCRIPTION
+from cosim.fmi.run.exported import run
 
 pytestmark = pytest.mark.usefixtures("no_trace")
 
@@ -35,6 +36,14 @@ def test_run_that_ends_early_is_an_error(interface, fmi, fmus, capfd):
     if interface == "CoSimulation":
         reached = r"fmi\dDoStep: the step from 1\.4\d+ to 1\.4\d+ came no further than 1\.428"
         assert re.search(reached + r"\d*; .* closer output times allow more$", str(caught.value))
+
+
+def test_failed_run_of_a_model_s_own_fmu_names_the_model():
+    model = cosim.Model("blow_up", stop_time=2.0)
+    y = model.state("y", "1", 1.0, "goes to infinity at 1 s")
+    model.derivative(y, y**2)
+    with pytest.raises(FmuError, match=r"^blow_up: fmi2DoStep failed"):
+        run(cosim.requested(model.freeze()), "CoSimulation")
 
 
 class Puppet:

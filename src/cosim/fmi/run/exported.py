@@ -47,6 +47,7 @@ def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
     times, experiment = request.times, request.dae.experiment
     start, stop = times.span(request.dae)
     with closing(OpenedFmu(path, interface)) as fmu:
+        fmu.path = request.dae.full_name  # what messages name; the file is a temporary one
         found = fmu.request(
             start_time=start,
             stop_time=stop,

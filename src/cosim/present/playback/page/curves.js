@@ -54,7 +54,7 @@ class Curves {
     const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
       label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
-      dash: i ? [4 + 2 * i, 4] : undefined,
+      dash: i ? [4 + 2 * i, 4] : position && this.results.length < 2 ? [10, 3 + 2 * position] : undefined, // equal ones show
       width: i ? 1 : 1.8,
       points: { show: false },
       value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
@@ -119,7 +119,7 @@ class Curves {
   }
 
   show(t) {
-    const [row] = station(this.results[0].curves.time, t);
+    const [before, after, s] = station(this.results[0].curves.time, t), row = s < 0.5 ? before : after;
     for (const { plot, mark } of this.charts) {
       mark.style.left = `${plot.valToPos(t, "x")}px`;
       plot.setLegend({ idx: row }, false);

@@ -136,13 +136,10 @@ class Settings {
     Object.assign(slider, { type: "range", min: low * factor + offset, max: high * factor + offset, step: "any" });
     Object.assign(field, { type: "number", step: "any" });
     field.setAttribute("aria-label", `${name}, ${unit}`);
-    const end = document.createElement("span");
-    end.textContent = unit === "1" ? "" : unit;
+    const end = Object.assign(document.createElement("span"), { textContent: unit === "1" ? "" : unit });
     line.append(mark, slider, field, end);
     slider.addEventListener("input", () => this.choose(setting, (slider.valueAsNumber - offset) / factor));
-    field.addEventListener("change", () => {
-      if (Number.isFinite(field.valueAsNumber)) this.choose(setting, (field.valueAsNumber - offset) / factor);
-    });
+    field.addEventListener("change", () => this.choose(setting, (field.valueAsNumber - offset) / factor));
     slider.addEventListener("dblclick", () => this.choose(setting, setting.value));
     this.lines.set(name, { mark, slider, field });
     this.show(setting);
@@ -159,10 +156,7 @@ class Settings {
   }
 
   choose(setting, value) {
-    if (!Number.isFinite(value)) { // 1e308 in a small unit
-      this.show(setting);
-      return;
-    }
+    if (!Number.isFinite(value)) return this.show(setting); // an empty field, or 1e308 in a small unit
     for (const { name, through } of this.live.settings) { // one of two ways to set a start value
       if (through && name === setting.name) this.chosen.delete(through);
       if (through && through === setting.name) this.chosen.delete(name);
