@@ -2,7 +2,8 @@
  *
  * What the solver does not go through by itself (see watch.h) is done here as the caller of a run
  * does it: the start, and time events. A run in which anything else happens (a relation slides, an
- * event ends it, it fails) is left to the caller, from its start.
+ * event ends it, it fails, it is stiff where the caller has a solver for that) is left to the
+ * caller, from its start.
  */
 #ifndef BLOCK_H
 #define BLOCK_H
@@ -12,7 +13,7 @@
 /* What Python mirrors. Arrays have a row per run, but for the output times and the work space of
  * (points + 1) (1 + NX + NZ) numbers. */
 typedef struct {
-    long long runs, points, room, watches; /* room: of events, of all runs */
+    long long runs, points, room, watches, leaves_stiff; /* room: of events, of all runs */
     double relative, absolute, largest, span;
     const double *times, *constant; /* constant: 1 for states that only events change */
     const double *x, *z, *u, *c, *nominal, *sizes; /* u: with modes of 1 */
@@ -171,7 +172,8 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
                         .w = w,
                         .relative = block->relative,
                         .absolute = block->absolute,
-                        .nominal = block->nominal + i * NX},
+                        .nominal = block->nominal + i * NX,
+                        .leaves_stiff = block->leaves_stiff != 0},
             .watch = {.watch = solver.watch,
                       .owner = {block->c + i * NC, block->sizes + i * NX, NULL, arg + 4, res + 2,
                                 iw, w, NULL, NULL},

@@ -118,6 +118,43 @@ def test_cases_in_blocks_are_single_runs(name):
     expect_the_bits_of_single_runs(dae, columns)
 
 
+def stuck() -> Dae:
+    """Return a body that falls on a stiff damper, on which it comes to rest."""
+    model = Model("stuck", stop_time=2.0)
+    h = model.state("h", "m", 0.5, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    d = model.parameter("d", "1/s", 1e6, "damping")
+    model.derivative(h, v)
+    model.derivative(v, -9.81 - ca.if_else(h < 0, 1e7 * h + d * v, 0))
+    return model.freeze()
+
+
+def test_events_are_in_blocks_by_default(taken):
+    dae, heights = event_models.ball(), np.linspace(1.0, 3.0, 6)
+    many = cosim.simulate_many(dae, {"h": heights})
+    assert all(taken)
+    assert many.stats["solver"] == "dop853"
+    assert not many.notes
+    for i, h in enumerate(heights):
+        one = cosim.simulate(dae, start_values={"h": h})
+        assert one.stats["solver"] == "cvodes"
+        times = [event.time for event in many.run(i).events]
+        np.testing.assert_allclose(times, [e.time for e in one.events], atol=1e-6)
+
+
+def test_stiff_runs_leave_their_block_unless_its_solver_is_requested(taken):
+    dae, damping = stuck(), [1e6, 20.0]
+    options = {"output_times": [1.0, 2.0]}
+    many = cosim.simulate_many(dae, {"d": damping}, **options)
+    assert taken == [False, True]
+    assert many.notes == {0: "computed by cvodes, not dop853"}
+    one = cosim.simulate(dae, start_values={"d": damping[0]}, **options)
+    np.testing.assert_array_equal(many.values[0], one.values)
+    assert many.run(0).stats["solver"] == "cvodes"
+    cosim.simulate_many(dae, {"d": [1e5, 1e3]}, solver="dop853", **options)
+    assert taken[2:] == [True, True]
+
+
 def test_a_run_has_the_same_bits_whatever_runs_beside_it():
     dae, heights = event_models.ball(), np.linspace(0.5, 3.0, 40)
     options = {"solver": "dop853", "output_times": [1.0, 2.0]}

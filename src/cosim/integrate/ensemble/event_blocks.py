@@ -1,8 +1,8 @@
 """Runs of a model with events in blocks: one call of compiled code for many runs.
 
 The code goes through all that is usual: the start, events, time events. Any other run (a relation
-slides, an event ends it, it fails) is left to `run`, which also computes the same bits for the
-others.
+slides, an event ends it, it fails, it is stiff) is left to `run`, which also computes the same bits
+for the others by the same solver.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ from cosim.arrays import Truths, Vector
 from cosim.codegen.c_fields import fields
 from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import work_space
-from cosim.errors import InitialConditionError
+from cosim.errors import CompilerTimeout, InitialConditionError
 from cosim.host.progress import doing
 from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, room_for_events
@@ -50,18 +50,25 @@ class _Block(ctypes.Structure):
     _fields_ = fields("solvers/block.h", "Block")
 
 
-def event_blocks(request: RunRequest, values: ManyValues) -> "EventBlocks | None":
+def event_blocks(
+    request: RunRequest, values: ManyValues, solver: Dop853 | None
+) -> "EventBlocks | None":
     """Return the runs of a request in blocks; None if these cannot be so.
+
+    Args:
+        request: The request of all runs; its values are ignored.
+        values: The values of each run.
+        solver: The solver of the blocks; None if there is none.
 
     Raises:
         UsageError, ParameterError, MissingTool: See `prepare`.
     """
-    prepared = prepare(request)
-    problem, system = prepared.problem, hybrid(prepared.problem.dae)
+    alone = prepare(request)
+    problem, system = alone.problem, hybrid(alone.problem.dae)
     given_otherwise = {rule.variable.name for rule in problem.dae.start_outputs} & {*values.given}
     if (
-        system is None
-        or not isinstance(prepared.inner, Dop853)
+        solver is None
+        or system is None
         or not problem.compiled
         or problem.project
         or problem.inputs is not None
@@ -72,7 +79,14 @@ def event_blocks(request: RunRequest, values: ManyValues) -> "EventBlocks | None
         or problem.dae.derived
     ):
         return None
-    return EventBlocks(request, prepared, prepared.inner, system, values)
+    leaves_stiff = solver != alone.inner
+    try:
+        own = replace(request, solver=solver)
+        return EventBlocks(own, prepare(own), solver, system, values, leaves_stiff=leaves_stiff)
+    except CompilerTimeout:  # the usual solver can interpret the equations
+        if leaves_stiff:
+            return None
+        raise
 
 
 def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Truths]:
@@ -100,6 +114,7 @@ class EventBlocks:
         solver: The solver of that.
         system: The frozen equations.
         values: The values of each run.
+        leaves_stiff: Whether stiff runs are left to `run`.
     """
 
     def __init__(
@@ -109,13 +124,16 @@ class EventBlocks:
         solver: Dop853,
         system: Hybrid,
         values: ManyValues,
+        *,
+        leaves_stiff: bool,
     ) -> None:
         self._request = request
         self._prepared = prepared
-        self._solver = solver
+        self.solver = solver
         self._tolerance = solver.tolerance.pair
         self._system = system
         self._values = values
+        self._leaves_stiff = leaves_stiff
         self._in_laws = np.array(system.in_laws, dtype=bool)
         self._library, self._constants = block_library(sliding(system, frozenset()))
         self._work = work_space(self._library)
@@ -172,12 +190,12 @@ class EventBlocks:
     def _pulses(self, p: Vector) -> Vector:
         """Return the times at which steps must end for terms of time, as of a single run."""
         begin, end = self._prepared.problem.grid[[0, -1]].tolist()
-        longest = min(end - begin, self._solver.max_step or np.inf)
+        longest = min(end - begin, self.solver.max_step or np.inf)
         return pulse_times(self._system.dae, p, begin, end, longest)
 
     def _call(self, x: Vector, z: Vector, u: Vector, p: Vector) -> tuple[list[Vector], Vector]:
         """Return states, unknowns and inputs, (runs, times, ...), and the report of each run."""
-        system, solver, grid = self._system, self._solver, self._prepared.problem.grid
+        system, solver, grid = self._system, self.solver, self._prepared.problem.grid
         dae, runs, n = self._prepared.problem.dae, len(x), len(grid)
         constants = np.ascontiguousarray(np.array(self._constants(p.T)).T)
         modes = np.ones((runs, len(system.relations)))
@@ -189,7 +207,7 @@ class EventBlocks:
         work = np.empty((n + 1) * (1 + x.shape[1] + z.shape[1]))
         arrays = (grid, constant, *given, own_sizes(dae, x), *rows, self._records, report, work)
         block = _Block(
-            *(runs, n, len(self._records), bool(system.of_states)),
+            *(runs, n, len(self._records), bool(system.of_states), self._leaves_stiff),
             *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )
