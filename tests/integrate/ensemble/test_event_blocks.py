@@ -180,12 +180,30 @@ def test_events_survive_pickle_and_are_made_once():
     np.testing.assert_array_equal(many.run(1).at([0.123])["h"], one.at([0.123])["h"])
 
 
-def test_ctrl_c_keeps_the_runs_that_have_ended():
+def test_extremes_of_runs_in_blocks_need_no_single_run(monkeypatch):
+    dae, heights = event_models.ball(), np.array([1.0, 2.0])
+    many = cosim.simulate_many(dae, {"h": heights})
+    singles = [cosim.simulate(dae, start_values={"h": h}, solver="dop853") for h in heights]
+    expected = [one.curves for one in singles]
+    monkeypatch.setattr("cosim.integrate.run._run_once", None)
+    for (_, found), known in zip(many.curves(), expected, strict=True):
+        np.testing.assert_array_equal(found.extremes, known.extremes)
+        np.testing.assert_array_equal(found.mean(), known.mean())
+        assert found.first(0, 0.5) == known.first(0, 0.5)
+
+
+def test_ctrl_c_keeps_the_runs_that_have_ended(monkeypatch):
     dae, heights = event_models.ball(), np.full(100_000, 2.0)
     cosim.simulate_many(dae, {"h": heights[:2]}, solver="dop853", output_times=[2.0])  # compiled
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+    calls, call = [], EventBlocks._call
+
+    def with_timer(*arguments):
+        calls.append(timer.start() if len(calls) == 1 else None)  # in the second block
+        return call(*arguments)
+
+    monkeypatch.setattr(EventBlocks, "_call", with_timer)
     began = time.monotonic()
-    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     with pytest.raises(Interrupted) as caught:
         cosim.simulate_many(dae, {"h": heights}, solver="dop853", output_times=[2.0])
     assert time.monotonic() - began < 5

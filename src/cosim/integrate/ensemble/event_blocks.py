@@ -33,7 +33,7 @@ from cosim.integrate.modes import hybrid, sliding
 from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
-from cosim.integrate.run import Recorded, evaluated, repeatable, trajectory_of
+from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory_of
 from cosim.model.many_values import ManyValues
 from cosim.model.request import RunRequest
 from cosim.model.values import Values, own_sizes
@@ -96,12 +96,12 @@ def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Tru
     if not (dae.start_rules or dae.algebraics):
         return x, z, within_bounds(dae, x)
     begins = np.ones(len(values), dtype=bool)
-    for run in range(len(values)):
+    for i in range(len(values)):
         try:
-            own = Values(values.x[run], values.p[run], values.u[run])
-            x[run], z[run] = consistent_values(dae, t, own)
+            own = Values(values.x[i], values.p[i], values.u[i])
+            x[i], z[i] = consistent_values(dae, t, own)
         except InitialConditionError:
-            begins[run] = False
+            begins[i] = False
     return x, z, begins
 
 
@@ -222,7 +222,7 @@ class EventBlocks:
         return float((report[:, 0] != _NOT_BEGUN).mean())
 
     def _finished(
-        self, run: int, motion: Motion, values: Values, events: NDArray[np.void]
+        self, position: int, motion: Motion, values: Values, events: NDArray[np.void]
     ) -> Row | None:
         """Return a run from its motion and its instants; None if it is left to `run`."""
         known = unquestioned(motion, values.p, with_conditions(self._prepared.problem.dae))
@@ -233,7 +233,7 @@ class EventBlocks:
             return None
         none = np.empty((0, 0))  # results of many runs hold the motion, but not its columns
         short = replace(motion, time=none, states=none, algebraics=none, u=none)
-        make = partial(self._trajectory, run, short, recorded, values, events.copy())
+        make = partial(self._trajectory, position, short, recorded, values, events.copy())
         switched = (events["before"]["modes"] != events["after"]["modes"]) | (events["zero"] > 0)
         happened = events["order"].any() or switched[:, self._in_laws].any()
         return Row(
@@ -251,7 +251,7 @@ class EventBlocks:
 
     def _trajectory(
         self,
-        run: int,
+        position: int,
         motion: Motion,
         recorded: Recorded,
         values: Values,
@@ -262,5 +262,21 @@ class EventBlocks:
         motion = replace(motion, events=records_of(self._system, passed), instants=instants)
         times = motion.solve_time or 0.0, 0.0
         found = trajectory_of(self._prepared, motion, recorded, values, times)
-        own = {name: float(column[run]) for name, column in self._values.given.items()}
-        return repeatable(found, replace(self._request, values=own), self._prepared)
+        own = {name: float(column[position]) for name, column in self._values.given.items()}
+        request, alone = (
+            replace(self._request, values=own),
+            self._values.select(np.array([position])),
+        )
+        again = partial(_block_of_one, alone, self.solver, found)
+        return repeatable(found, request, self._prepared, again)
+
+
+def _block_of_one(
+    values: ManyValues, solver: Dop853, known: Trajectory, request: RunRequest
+) -> Trajectory:
+    """Return a known run at the output times of a request."""
+    blocks = event_blocks(request, values, solver)
+    row = None if blocks is None else blocks.take(0)
+    if row is None:
+        return run(request)
+    return replace(known, time=request.times.requested, values=row.values)
