@@ -21,8 +21,9 @@ typedef struct {
     double *records, *report, *work;               /* report: BLOCK_REPORT numbers */
 } Block;
 
-/* A run that is left to the caller, or is complete; or what remains after the block. */
-enum { LEFT_ALONE, COMPLETE, NOT_BEGUN };
+/* A run that is left to the caller, or is complete; or what remains after the block; or a run that
+ * the solver fails in, or leaves as it is stiff. */
+enum { LEFT_ALONE, COMPLETE, NOT_BEGUN, FAILED };
 
 enum { SAME_INSTANT = 32 }; /* units in the last place of a time, as in location.py */
 enum { BLOCK_REPORT = 4 };  /* one of these codes, steps, right-hand sides, events */
@@ -105,7 +106,8 @@ static inline void let_go_at_end(BlockRun *self) {
         note_inside(&self->watch.laws, &self->switching, self->u + NU - MODES, seen.arguments);
 }
 
-/* Integrates to the next time event or the end. Returns 0 where the run goes on. */
+/* Integrates to the next time event or the end. Returns 0 where the run goes on, -1 where the
+ * solver fails. */
 static inline int advance_run(BlockRun *self) {
     const Block *block = self->block;
     const double *grid = block->times, stop = grid[block->points - 1];
@@ -131,8 +133,10 @@ static inline int advance_run(BlockRun *self) {
     Course course = {self->t, 0, 1};
     memcpy(rows, self->x, NX * sizeof *rows);
     memcpy(unknowns, self->z, NZ * sizeof *unknowns);
-    if (n > 1 && solver.integrate(&self->problem, &piece, rows, NZ > 0 ? unknowns : NULL, &course))
-        return 1;
+    const int code =
+        n > 1 ? solver.integrate(&self->problem, &piece, rows, NZ > 0 ? unknowns : NULL, &course)
+              : SUCCESS;
+    if (code != SUCCESS) return code == EVENT ? 1 : -1;
     for (int i = 0; i < NX && record == self->watch.records; ++i)
         for (long long k = 0; k < n && block->constant[i] > 0; ++k) rows[k * NX + i] = self->x[i];
     for (long long k = 1; k < n - 1; ++k) {
@@ -199,7 +203,7 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         while (!left && self.next < block->points) left = advance_run(&self);
         const bool full =
             i > 0 && self.watch.records == last; /* it is the first of the next block */
-        report[0] = !left ? COMPLETE : full || halted ? NOT_BEGUN : LEFT_ALONE;
+        report[0] = !left ? COMPLETE : full || halted ? NOT_BEGUN : left < 0 ? FAILED : LEFT_ALONE;
         report[1] = (double)self.problem.steps;
         report[2] = (double)self.problem.calls;
         report[3] = left ? 0 : (double)((self.watch.records - records) / RECORD);

@@ -18,9 +18,10 @@ from helpers.switching_cases import SWITCHING
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.errors import CosimError, Interrupted
+from cosim.errors import CosimError, Interrupted, SolverError
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.event_blocks import EventBlocks
+from cosim.integrate.families.explicit import NonStiffDop853
 
 CASES = MECHANICS | SWITCHING
 UNSAVED = {"solve_time", "wall_time", "compile_time"}
@@ -153,6 +154,24 @@ def test_stiff_runs_leave_their_block_unless_its_solver_is_requested(taken):
     assert many.run(0).stats["solver"] == "cvodes"
     cosim.simulate_many(dae, {"d": [1e5, 1e3]}, solver="dop853", **options)
     assert taken[2:] == [True, True]
+
+
+def test_runs_that_slide_or_stop_have_the_solver_of_the_blocks():
+    places = [-2.0, 0.5]
+    for dae in event_models.block(), event_models.stopping():
+        many = cosim.simulate_many(dae, {"x": places}, outputs=["x"])
+        for i, x in enumerate(places):
+            options = {"outputs": ["x"], "solver": "dop853"}
+            one = cosim.simulate(dae, start_values={"x": x}, **options)
+            assert many.notes.get(i) == one.stats.get("note")
+            np.testing.assert_array_equal(many.run(i).values, one.values)
+
+
+def test_a_stiff_run_ends_at_once_where_its_solver_may_leave_it():
+    with pytest.raises(SolverError, match=r"stiff at t = 0\.3") as caught:
+        cosim.simulate(stuck(), solver=NonStiffDop853())
+    assert caught.value.partial.stats["steps"] < 1100
+    assert cosim.simulate(stuck(), stop_time=0.4, solver="dop853").status == "complete"
 
 
 def test_a_run_has_the_same_bits_whatever_runs_beside_it():

@@ -18,7 +18,7 @@ from cosim.arrays import Truths, Vector
 from cosim.codegen.c_fields import fields
 from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import work_space
-from cosim.errors import CompilerTimeout, InitialConditionError
+from cosim.errors import CompilerTimeout, InitialConditionError, SolverError
 from cosim.host.progress import doing
 from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, room_for_events
@@ -41,7 +41,7 @@ from cosim.trajectory import Trajectory
 
 _NUMBERS = 500_000  # of the rows of a block
 _MOST_TIMES = 10_000  # of a run; so many more are integrated in windows
-_COMPLETE, _NOT_BEGUN = 1, 2  # codes of fmu/solvers/block.h
+_LEFT_ALONE, _COMPLETE, _NOT_BEGUN = 0, 1, 2  # codes of fmu/solvers/block.h
 
 
 class _Block(ctypes.Structure):
@@ -79,12 +79,11 @@ def event_blocks(
         or problem.dae.derived
     ):
         return None
-    leaves_stiff = solver != alone.inner
     try:
         own = replace(request, solver=solver)
-        return EventBlocks(own, prepare(own), solver, system, values, leaves_stiff=leaves_stiff)
+        return EventBlocks(own, prepare(own), solver, system, values)
     except CompilerTimeout:  # the usual solver can interpret the equations
-        if leaves_stiff:
+        if solver != alone.inner:
             return None
         raise
 
@@ -114,7 +113,6 @@ class EventBlocks:
         solver: The solver of that.
         system: The frozen equations.
         values: The values of each run.
-        leaves_stiff: Whether stiff runs are left to `run`.
     """
 
     def __init__(
@@ -124,8 +122,6 @@ class EventBlocks:
         solver: Dop853,
         system: Hybrid,
         values: ManyValues,
-        *,
-        leaves_stiff: bool,
     ) -> None:
         self._request = request
         self._prepared = prepared
@@ -133,7 +129,6 @@ class EventBlocks:
         self._tolerance = solver.tolerance.pair
         self._system = system
         self._values = values
-        self._leaves_stiff = leaves_stiff
         self._in_laws = np.array(system.in_laws, dtype=bool)
         self._library, self._constants = block_library(sliding(system, frozenset()))
         self._work = work_space(self._library)
@@ -144,6 +139,7 @@ class EventBlocks:
         self._next = 0  # the first run that no block holds yet
         self._interrupted = False
         self._ready = dict[int, Row]()
+        self._left = set[int]()  # runs in which something else happens
 
     def take(self, position: int) -> Row | None:
         """Return a run; None if it is left to `run`. Runs are taken in their order.
@@ -153,11 +149,28 @@ class EventBlocks:
         """
         while position >= self._next and not self._interrupted:
             self._ready.clear()
+            self._left.clear()
             self._compute(position)
         if position >= self._next:
             interrupt_noticed()
             raise KeyboardInterrupt
+        if position in self._left and self.solver.leaves_stiff:
+            return self._alone(position)
         return self._ready.pop(position, None)
+
+    def _alone(self, position: int) -> Row | None:
+        """Return a run by `run` with the solver of the blocks; None if that fails."""
+        try:
+            found = run(replace(self._request, values=self._own(position)))
+        except (SolverError, InitialConditionError):
+            return None
+        time = self._prepared.problem.grid
+        if self._prepared.rows is not None:
+            time = time[self._prepared.rows]
+        return Row.of(found, time)
+
+    def _own(self, position: int) -> dict[str, float]:
+        return {name: float(column[position]) for name, column in self._values.given.items()}
 
     def _compute(self, first: int) -> None:
         """Compute a block of runs, from the first one on."""
@@ -177,6 +190,7 @@ class EventBlocks:
             self._next = going[min(len(done), len(going) - 1)]
         time = (perf_counter() - began) / max(1, len(done))
         ends = report[:, 3].astype(int).cumsum()
+        self._left = {going[k] for k in np.flatnonzero(report[: len(done), 0] == _LEFT_ALONE)}
         dae, grid = self._system.dae, self._prepared.problem.grid
         for k in np.flatnonzero(report[: len(done), 0] == _COMPLETE).tolist():
             counts = Counts(int(report[k, 1]), int(report[k, 2]), 0)
@@ -207,7 +221,7 @@ class EventBlocks:
         work = np.empty((n + 1) * (1 + x.shape[1] + z.shape[1]))
         arrays = (grid, constant, *given, own_sizes(dae, x), *rows, self._records, report, work)
         block = _Block(
-            *(runs, n, len(self._records), bool(system.of_states), self._leaves_stiff),
+            *(runs, n, len(self._records), bool(system.of_states), solver.leaves_stiff),
             *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )

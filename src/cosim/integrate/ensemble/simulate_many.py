@@ -27,7 +27,7 @@ from cosim.integrate.call import RunStats
 from cosim.integrate.ensemble.ensemble import Ensemble, LazyRuns, Row, RunState
 from cosim.integrate.ensemble.event_blocks import EventBlocks, event_blocks
 from cosim.integrate.ensemble.lanes import in_lanes, processors
-from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.explicit import Dop853, NonStiffDop853
 from cosim.integrate.keywords import SharedKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
@@ -187,7 +187,8 @@ def explicit_solver(request: RunRequest) -> Dop853 | None:
     if isinstance(solver, Dop853):
         return solver
     if not dae.algebraics and (solver is None or isinstance(solver, Tolerance)):
-        return Dop853(**(solver or Tolerance()).keywords)
+        kind = Dop853 if hybrid(dae) is None else NonStiffDop853
+        return kind(**(solver or Tolerance()).keywords)
     return None
 
 
