@@ -102,7 +102,7 @@ static inline int interpolate(const Ode *ode, double t, double h, const double *
 }
 
 /* The step times about the largest eigenvalue, from the last stage and the end, which are near each
- * other (II.10, IV.2). */
+ * other (volume II, section IV.2). */
 static inline double stiffness_of(const Ode *ode, double h, const double *x, const double *end,
                                   Slopes k) {
     double sum[NX], slopes[NX], states[NX];

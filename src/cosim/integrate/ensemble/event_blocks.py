@@ -162,7 +162,7 @@ class EventBlocks:
         """Return a run by `run` with the solver of the blocks; None if that fails."""
         try:
             found = run(replace(self._request, values=self._own(position)))
-        except (SolverError, InitialConditionError):
+        except (SolverError, InitialConditionError, CompilerTimeout):
             return None
         time = self._prepared.problem.grid
         if self._prepared.rows is not None:
@@ -276,11 +276,8 @@ class EventBlocks:
         motion = replace(motion, events=records_of(self._system, passed), instants=instants)
         times = motion.solve_time or 0.0, 0.0
         found = trajectory_of(self._prepared, motion, recorded, values, times)
-        own = {name: float(column[position]) for name, column in self._values.given.items()}
-        request, alone = (
-            replace(self._request, values=own),
-            self._values.select(np.array([position])),
-        )
+        request = replace(self._request, values=self._own(position))
+        alone = self._values.select(np.array([position]))
         again = partial(_block_of_one, alone, self.solver, found)
         return repeatable(found, request, self._prepared, again)
 
