@@ -50,6 +50,20 @@ static inline int step_afresh(void *accepted, double t, double *x) {
     return restore(self->ode->context, t, x);
 }
 
+enum { STEPS_PER_TEST = 1000, MOST_STIFF = 15, MOST_OTHER = 6 };
+static const double STABLE = 6.1; /* step times eigenvalue, at the border of stability */
+
+/* Whether stability limits the steps rather than accuracy, as Hairer's code finds out. */
+static inline int is_stiff(Problem *self, const Accepted *step) {
+    if (!self->leaves_stiff || (self->steps % STEPS_PER_TEST != 0 && self->stiff == 0)) return 0;
+    if (stiffness_of(step->ode, step->h, step->x, step->end, step->k) > STABLE) {
+        self->other = 0;
+        return ++self->stiff == MOST_STIFF;
+    }
+    if (++self->other == MOST_OTHER) self->stiff = 0;
+    return 0;
+}
+
 /* Integrates x over the grid; `out` takes a column per output time. Returns one of the codes. */
 static inline int integrate_adaptive(Problem *self, const Grid *grid, double *out, double *z,
                                      Course *course) {
@@ -103,6 +117,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
         accepted.t = t;
         accepted.h = h;
         accepted.known = 0;
+        if (is_stiff(self, &accepted)) return STIFF;
         Crossing crossing = {after, -1, after};
         if (watch) {
             double z_end[NZ + 1];

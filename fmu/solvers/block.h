@@ -2,7 +2,8 @@
  *
  * What the solver does not go through by itself (see watch.h) is done here as the caller of a run
  * does it: the start, and time events. A run in which anything else happens (a relation slides, an
- * event ends it, it fails) is left to the caller, from its start.
+ * event ends it, it fails, it is stiff where the caller has a solver for that) is left to the
+ * caller, from its start.
  */
 #ifndef BLOCK_H
 #define BLOCK_H
@@ -12,7 +13,7 @@
 /* What Python mirrors. Arrays have a row per run, but for the output times and the work space of
  * (points + 1) (1 + NX + NZ) numbers. */
 typedef struct {
-    long long runs, points, room, watches; /* room: of events, of all runs */
+    long long runs, points, room, watches, leaves_stiff; /* room: of events, of all runs */
     double relative, absolute, largest, span;
     const double *times, *constant; /* constant: 1 for states that only events change */
     const double *x, *z, *u, *c, *nominal, *sizes; /* u: with modes of 1 */
@@ -20,8 +21,9 @@ typedef struct {
     double *records, *report, *work;               /* report: BLOCK_REPORT numbers */
 } Block;
 
-/* A run that is left to the caller, or is complete; or what remains after the block. */
-enum { LEFT_ALONE, COMPLETE, NOT_BEGUN };
+/* A run that is left to the caller, or is complete; or what remains after the block; or a run that
+ * the solver fails in, or leaves as it is stiff. */
+enum { LEFT_ALONE, COMPLETE, NOT_BEGUN, FAILED };
 
 enum { SAME_INSTANT = 32 }; /* units in the last place of a time, as in location.py */
 enum { BLOCK_REPORT = 4 };  /* one of these codes, steps, right-hand sides, events */
@@ -104,7 +106,8 @@ static inline void let_go_at_end(BlockRun *self) {
         note_inside(&self->watch.laws, &self->switching, self->u + NU - MODES, seen.arguments);
 }
 
-/* Integrates to the next time event or the end. Returns 0 where the run goes on. */
+/* Integrates to the next time event or the end. Returns 0 where the run goes on, -1 where the
+ * solver fails. */
 static inline int advance_run(BlockRun *self) {
     const Block *block = self->block;
     const double *grid = block->times, stop = grid[block->points - 1];
@@ -130,8 +133,10 @@ static inline int advance_run(BlockRun *self) {
     Course course = {self->t, 0, 1};
     memcpy(rows, self->x, NX * sizeof *rows);
     memcpy(unknowns, self->z, NZ * sizeof *unknowns);
-    if (n > 1 && solver.integrate(&self->problem, &piece, rows, NZ > 0 ? unknowns : NULL, &course))
-        return 1;
+    const int code =
+        n > 1 ? solver.integrate(&self->problem, &piece, rows, NZ > 0 ? unknowns : NULL, &course)
+              : SUCCESS;
+    if (code != SUCCESS) return code == EVENT ? 1 : -1;
     for (int i = 0; i < NX && record == self->watch.records; ++i)
         for (long long k = 0; k < n && block->constant[i] > 0; ++k) rows[k * NX + i] = self->x[i];
     for (long long k = 1; k < n - 1; ++k) {
@@ -176,7 +181,8 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
                         .w = w,
                         .relative = block->relative,
                         .absolute = block->absolute,
-                        .nominal = block->nominal + i * NX},
+                        .nominal = block->nominal + i * NX,
+                        .leaves_stiff = block->leaves_stiff != 0},
             .watch = {.watch = solver.watch,
                       .owner = {block->c + i * NC, block->sizes + i * NX, NULL, arg + 4, res + 2,
                                 iw, w, NULL, NULL},
@@ -202,7 +208,7 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         while (!left && self.next < block->points) left = advance_run(&self);
         const bool full =
             i > 0 && self.watch.records == last; /* it is the first of the next block */
-        report[0] = !left ? COMPLETE : full || halted ? NOT_BEGUN : LEFT_ALONE;
+        report[0] = !left ? COMPLETE : full || halted ? NOT_BEGUN : left < 0 ? FAILED : LEFT_ALONE;
         report[1] = (double)self.problem.steps;
         report[2] = (double)self.problem.calls;
         report[3] = left ? 0 : (double)((self.watch.records - records) / RECORD);

@@ -101,6 +101,20 @@ static inline int interpolate(const Ode *ode, double t, double h, const double *
     return 0;
 }
 
+/* The step times about the largest eigenvalue, from the last stage and the end, which are near each
+ * other (volume II, section IV.2). */
+static inline double stiffness_of(const Ode *ode, double h, const double *x, const double *end,
+                                  Slopes k) {
+    double sum[NX], slopes[NX], states[NX];
+    pair.stage(STAGES - 1, (const double (*)[NX])k, sum);
+    for (int i = 0; i < NX; ++i) {
+        slopes[i] = k[END][i] - k[STAGES - 1][i];
+        states[i] = end[i] - (x[i] + h * sum[i]);
+    }
+    const double distance = norm(ode, states, x);
+    return distance > 0 ? h * norm(ode, slopes, x) / distance : 0;
+}
+
 /* What the size of a step is multiplied by after an error. */
 static inline double growth(double error, int rejected) {
     const double most = error > 1 || rejected ? 1.0 : 6.0;

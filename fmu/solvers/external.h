@@ -62,6 +62,13 @@ SHARED void cosim_events(double *rows, long long count, double *left, const doub
     sizes_of_states = sizes;
 }
 
+static _Thread_local int leaves_stiff;
+
+/* Whether the thread's runs end where they are found to be stiff. */
+SHARED void cosim_leaves_stiff(int leaves) {
+    leaves_stiff = leaves;
+}
+
 /* How many events the thread's last run has recorded. */
 SHARED long long cosim_recorded(void) {
     return recorded;
@@ -155,6 +162,7 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .relative = settings[3],
         .absolute = settings[4],
         .nominal = nominal,
+        .leaves_stiff = leaves_stiff,
     };
     Watch watch = {
         .problem = &problem,

@@ -11,7 +11,7 @@
 #endif
 
 /* Codes 0 to 3 are those of CasADi's own integrators. */
-enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT };
+enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT, STIFF };
 
 /* What such a function needs to work. */
 typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
@@ -29,6 +29,8 @@ typedef struct {
     double relative, absolute; /* error that each step may have, the latter in nominal values */
     const double *nominal;     /* of the states */
     void *watch;               /* see watch.h; NULL without relations */
+    int leaves_stiff;          /* whether it ends where it is found to be stiff */
+    int stiff, other;          /* numbers of steps that looked so, and then not */
 } Problem;
 
 /* dx/dt; the algebraic unknowns, too, where `z` is not NULL. Returns 0 where it has a value. */

@@ -86,6 +86,7 @@ class EndKind(StrEnum):
     INTERRUPTED = "interrupted"  # Ctrl-C
     SINGULAR = "singular"  # the solver found no solution with steps of any size
     TOO_MANY_STEPS = "too many steps"
+    STIFF = "stiff"  # for a solver that then leaves the run to another one
     INVALID = "invalid"  # a validity condition
     FAILED = "failed"
 

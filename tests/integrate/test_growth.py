@@ -94,9 +94,9 @@ def test_ctrl_c_in_the_second_run_ends_it(monkeypatch):
 
 def test_ctrl_c_in_lanes_begins_no_run_alone(monkeypatch):
     def interrupted(*values):
-        found, growing = in_lanes(*values)
+        found, growing, stuck = in_lanes(*values)
         assert len(growing)
-        return replace(found, states=(RunState.INTERRUPTED,) * len(found)), growing
+        return replace(found, states=(RunState.INTERRUPTED,) * len(found)), growing, stuck
 
     monkeypatch.setattr("cosim.integrate.ensemble.simulate_many.in_lanes", interrupted)
     with pytest.raises(Interrupted, match="after 0 of 2 runs"):  # before: 1

@@ -206,7 +206,7 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
         cause = Ending()
         if status not in (0, _EVENT):
             why = CAUSES.get(int(status), "it gave up")
-            kind = EndKind.TOO_MANY_STEPS if status == 1 else EndKind.FAILED
+            kind = _KINDS.get(int(status), EndKind.FAILED)
             place = f"t = {start + length * reached:g}, h = {length * last:.2g}"
             cause = Ending(f"{why} at {place}", kind)
         return Counts(int(steps), int(rhs), int(jacobians), cause)
@@ -215,10 +215,12 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
 
 
 _EVENT = 6  # status of a run that ended where a relation leaves its mode
+_KINDS = {1: EndKind.TOO_MANY_STEPS, 7: EndKind.STIFF}
 CAUSES = {  # by code of fmu/solvers
     1: "too many steps",
     2: "step size too small",
     3: "inconsistent algebraic unknowns",
     4: "a state is not finite",
     5: "halted",
+    7: "stiff",
 }

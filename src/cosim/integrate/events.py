@@ -32,7 +32,7 @@ from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
-from cosim.text import Ending
+from cosim.text import Ending, EndKind
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
@@ -251,7 +251,8 @@ class _Course:
             return Ending()
         if piece.reason:
             self._accept(piece, np.inf)
-            if piece.reason == INTERRUPTED or len(piece.times) < 2:
+            final = piece.reason == INTERRUPTED or piece.reason.kind is EndKind.STIFF
+            if final or len(piece.times) < 2:
                 return piece.reason
             self.at, self.window = piece.at_end(), self.least_window
             return Ending()  # a fresh start may succeed

@@ -1,6 +1,6 @@
 """`run`: execute a request natively: integrate a DAE and return a `Trajectory`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import isfinite
@@ -224,23 +224,40 @@ def run(request: RunRequest) -> Trajectory:
     return repeatable(found, request, prepared) if prepared.solver.adaptive else found
 
 
-def repeatable(found: Trajectory, request: RunRequest, prepared: Prepared) -> Trajectory:
-    """Return a run of an adaptive solver that can be computed at further times."""
+def repeatable(
+    found: Trajectory,
+    request: RunRequest,
+    prepared: Prepared,
+    simulate: Callable[[RunRequest], Trajectory] = run,
+) -> Trajectory:
+    """Return a run of an adaptive solver that can be computed at further times.
+
+    Args:
+        found: The run.
+        request, prepared: Its request and plan.
+        simulate: Computes the run of a request.
+    """
     ends = float(prepared.problem.grid[-1]), float(found.time[-1])
-    return replace(found, again=partial(run_at, request, ends))
+    return replace(found, again=partial(run_at, simulate, request, ends))
 
 
-def run_at(request: RunRequest, ends: tuple[float, float], times: Vector) -> Trajectory:
+def run_at(
+    simulate: Callable[[RunRequest], Trajectory],
+    request: RunRequest,
+    ends: tuple[float, float],
+    times: Vector,
+) -> Trajectory:
     """Compute a run at other output times, with the same begin and end and thus the same steps.
 
     Args:
+        simulate: Computes the run of a request.
         request: The run.
         ends: Its stop time, and when it ended, s; a stop may come earlier by rounding now.
         times: Output times, s, (m,).
     """
     own = Times.at(times, request.times.start, stop=ends[0])
     policy = replace(request.policy, record_events=False)
-    found = run(replace(request, times=own, policy=policy))
+    found = simulate(replace(request, times=own, policy=policy))
     rows = np.searchsorted(found.time, times).clip(max=len(found.time) - 1)
     rows[times >= ends[1]] = -1
     return replace(found, time=times, values=found.values[rows])

@@ -204,11 +204,10 @@ def times_between(dae: Dae, grid: Vector, step: float | None = None) -> Vector:
         pieces = np.array(
             [_whole_steps(*pair) for pair in zip(lengths / step, pieces, strict=True)]
         )
-    inner = [
-        np.linspace(a, b, k, endpoint=False)
-        for a, b, k in zip(grid, grid[1:], pieces, strict=False)
-    ]
-    return np.concatenate((*inner, grid[-1:]))
+    begins, steps, firsts = (
+        np.repeat(each, pieces) for each in (grid[:-1], lengths / pieces, pieces.cumsum() - pieces)
+    )
+    return np.append(begins + (np.arange(len(begins)) - firsts) * steps, grid[-1])
 
 
 def _whole_steps(steps: float, pieces: int) -> int:

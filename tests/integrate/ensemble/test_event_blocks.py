@@ -18,9 +18,10 @@ from helpers.switching_cases import SWITCHING
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.errors import CosimError, Interrupted
+from cosim.errors import CosimError, Interrupted, SolverError
 from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.event_blocks import EventBlocks
+from cosim.integrate.families.explicit import NonStiffDop853
 
 CASES = MECHANICS | SWITCHING
 UNSAVED = {"solve_time", "wall_time", "compile_time"}
@@ -118,6 +119,61 @@ def test_cases_in_blocks_are_single_runs(name):
     expect_the_bits_of_single_runs(dae, columns)
 
 
+def stuck() -> Dae:
+    """Return a body that falls on a stiff damper, on which it comes to rest."""
+    model = Model("stuck", stop_time=2.0)
+    h = model.state("h", "m", 0.5, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    d = model.parameter("d", "1/s", 1e6, "damping")
+    model.derivative(h, v)
+    model.derivative(v, -9.81 - ca.if_else(h < 0, 1e7 * h + d * v, 0))
+    return model.freeze()
+
+
+def test_events_are_in_blocks_by_default(taken):
+    dae, heights = event_models.ball(), np.linspace(1.0, 3.0, 6)
+    many = cosim.simulate_many(dae, {"h": heights})
+    assert all(taken)
+    assert many.stats["solver"] == "dop853"
+    assert not many.notes
+    for i, h in enumerate(heights):
+        one = cosim.simulate(dae, start_values={"h": h})
+        assert one.stats["solver"] == "cvodes"
+        times = [event.time for event in many.run(i).events]
+        np.testing.assert_allclose(times, [e.time for e in one.events], atol=1e-6)
+
+
+def test_stiff_runs_leave_their_block_unless_its_solver_is_requested(taken):
+    dae, damping = stuck(), [1e6, 20.0]
+    options = {"output_times": [1.0, 2.0]}
+    many = cosim.simulate_many(dae, {"d": damping}, **options)
+    assert taken == [False, True]
+    assert many.notes == {0: "computed by cvodes, not dop853"}
+    one = cosim.simulate(dae, start_values={"d": damping[0]}, **options)
+    np.testing.assert_array_equal(many.values[0], one.values)
+    assert many.run(0).stats["solver"] == "cvodes"
+    cosim.simulate_many(dae, {"d": [1e5, 1e3]}, solver="dop853", **options)
+    assert taken[2:] == [True, True]
+
+
+def test_runs_that_slide_or_stop_have_the_solver_of_the_blocks():
+    places = [-2.0, 0.5]
+    for dae in event_models.block(), event_models.stopping():
+        many = cosim.simulate_many(dae, {"x": places}, outputs=["x"])
+        for i, x in enumerate(places):
+            options = {"outputs": ["x"], "solver": "dop853"}
+            one = cosim.simulate(dae, start_values={"x": x}, **options)
+            assert many.notes.get(i) == one.stats.get("note")
+            np.testing.assert_array_equal(many.run(i).values, one.values)
+
+
+def test_a_stiff_run_ends_at_once_where_its_solver_may_leave_it():
+    with pytest.raises(SolverError, match=r"stiff at t = 0\.3") as caught:
+        cosim.simulate(stuck(), solver=NonStiffDop853())
+    assert caught.value.partial.stats["steps"] < 1100
+    assert cosim.simulate(stuck(), stop_time=0.4, solver="dop853").status == "complete"
+
+
 def test_a_run_has_the_same_bits_whatever_runs_beside_it():
     dae, heights = event_models.ball(), np.linspace(0.5, 3.0, 40)
     options = {"solver": "dop853", "output_times": [1.0, 2.0]}
@@ -143,12 +199,30 @@ def test_events_survive_pickle_and_are_made_once():
     np.testing.assert_array_equal(many.run(1).at([0.123])["h"], one.at([0.123])["h"])
 
 
-def test_ctrl_c_keeps_the_runs_that_have_ended():
+def test_extremes_of_runs_in_blocks_need_no_single_run(monkeypatch):
+    dae, heights = event_models.ball(), np.array([1.0, 2.0])
+    many = cosim.simulate_many(dae, {"h": heights})
+    singles = [cosim.simulate(dae, start_values={"h": h}, solver="dop853") for h in heights]
+    expected = [one.curves for one in singles]
+    monkeypatch.setattr("cosim.integrate.run._run_once", None)
+    for (_, found), known in zip(many.curves(), expected, strict=True):
+        np.testing.assert_array_equal(found.extremes, known.extremes)
+        np.testing.assert_array_equal(found.mean(), known.mean())
+        assert found.first(0, 0.5) == known.first(0, 0.5)
+
+
+def test_ctrl_c_keeps_the_runs_that_have_ended(monkeypatch):
     dae, heights = event_models.ball(), np.full(100_000, 2.0)
     cosim.simulate_many(dae, {"h": heights[:2]}, solver="dop853", output_times=[2.0])  # compiled
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+    calls, call = [], EventBlocks._call
+
+    def with_timer(*arguments):
+        calls.append(timer.start() if len(calls) == 1 else None)  # in the second block
+        return call(*arguments)
+
+    monkeypatch.setattr(EventBlocks, "_call", with_timer)
     began = time.monotonic()
-    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     with pytest.raises(Interrupted) as caught:
         cosim.simulate_many(dae, {"h": heights}, solver="dop853", output_times=[2.0])
     assert time.monotonic() - began < 5

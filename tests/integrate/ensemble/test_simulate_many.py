@@ -204,6 +204,21 @@ def test_what_ends_a_single_run_ends_a_run_in_lanes(model, cause):
     assert np.isfinite(many.run(0).values).all()
 
 
+def test_runs_that_are_too_stiff_for_lanes_run_one_by_one_by_default():
+    model = Model("damped", stop_time=2.0)
+    x, c = model.state("x", "m", 1.0, "x"), model.parameter("c", "1/s", 1.0, "rate")
+    model.derivative(x, -c * (x - ca.cos(model.t)))
+    dae, rates = model.freeze(), {"c": [1.0, 1e8]}
+    options = {"output_times": [1.0, 2.0]}
+    many = simulate_many(dae, rates, **options)
+    assert many.complete.all()  # 31,000 steps are needed for c = 1e5
+    assert many.notes == {1: "computed by cvodes, not dop853"}
+    single = cosim.simulate(dae, start_values={"c": 1e8}, **options)
+    np.testing.assert_array_equal(many["x"][1], single["x"])
+    forced = simulate_many(dae, rates, solver="dop853", **options)
+    assert [str(s) for s in forced.states] == ["complete", "failed"]
+
+
 def test_a_dae_and_other_solvers_run_one_by_one():
     known = oscillator(algebraic=True)
     many = simulate_many(known.dae, {"x": [1.0, 2.0]}, outputs=["x"], stop_time=1.0)

@@ -1,8 +1,8 @@
 """Runs of a model with events in blocks: one call of compiled code for many runs.
 
 The code goes through all that is usual: the start, events, time events. Any other run (a relation
-slides, an event ends it, it fails) is left to `run`, which also computes the same bits for the
-others.
+slides, an event ends it, it fails, it is stiff) is left to `run`, which also computes the same bits
+for the others by the same solver.
 """
 
 import ctypes
@@ -18,7 +18,7 @@ from cosim.arrays import Truths, Vector
 from cosim.codegen.c_fields import fields
 from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import work_space
-from cosim.errors import InitialConditionError
+from cosim.errors import CompilerTimeout, InitialConditionError, SolverError
 from cosim.host.progress import doing
 from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, room_for_events
@@ -32,7 +32,7 @@ from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
-from cosim.integrate.run import Recorded, evaluated, repeatable, trajectory_of
+from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory_of
 from cosim.model.many_values import ManyValues
 from cosim.model.request import RunRequest
 from cosim.model.values import Values, own_sizes
@@ -40,7 +40,7 @@ from cosim.trajectory import Trajectory
 
 _NUMBERS = 500_000  # of the rows of a block
 _MOST_TIMES = 10_000  # of a run; so many more are integrated in windows
-_COMPLETE, _NOT_BEGUN = 1, 2  # codes of fmu/solvers/block.h
+_LEFT_ALONE, _COMPLETE, _NOT_BEGUN = 0, 1, 2  # codes of fmu/solvers/block.h
 
 
 class _Block(ctypes.Structure):
@@ -49,18 +49,25 @@ class _Block(ctypes.Structure):
     _fields_ = fields("solvers/block.h", "Block")
 
 
-def event_blocks(request: RunRequest, values: ManyValues) -> "EventBlocks | None":
+def event_blocks(
+    request: RunRequest, values: ManyValues, solver: Dop853 | None
+) -> "EventBlocks | None":
     """Return the runs of a request in blocks; None if these cannot be so.
+
+    Args:
+        request: The request of all runs; its values are ignored.
+        values: The values of each run.
+        solver: The solver of the blocks; None if there is none.
 
     Raises:
         UsageError, ParameterError, MissingTool: See `prepare`.
     """
-    prepared = prepare(request)
-    problem, system = prepared.problem, hybrid(prepared.problem.dae)
+    alone = prepare(request)
+    problem, system = alone.problem, hybrid(alone.problem.dae)
     given_otherwise = {rule.variable.name for rule in problem.dae.start_outputs} & {*values.given}
     if (
-        system is None
-        or not isinstance(prepared.inner, Dop853)
+        solver is None
+        or system is None
         or not problem.compiled
         or problem.project
         or problem.inputs is not None
@@ -71,7 +78,13 @@ def event_blocks(request: RunRequest, values: ManyValues) -> "EventBlocks | None
         or problem.dae.derived
     ):
         return None
-    return EventBlocks(request, prepared, prepared.inner, system, values)
+    try:
+        own = replace(request, solver=solver)
+        return EventBlocks(own, prepare(own), solver, system, values)
+    except CompilerTimeout:  # the usual solver can interpret the equations
+        if solver != alone.inner:
+            return None
+        raise
 
 
 def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Truths]:
@@ -81,12 +94,12 @@ def _starts(prepared: Prepared, values: ManyValues) -> tuple[Vector, Vector, Tru
     if not (dae.start_rules or dae.algebraics):
         return x, z, within_bounds(dae, x)
     begins = np.ones(len(values), dtype=bool)
-    for run in range(len(values)):
+    for i in range(len(values)):
         try:
-            own = Values(values.x[run], values.p[run], values.u[run])
-            x[run], z[run] = consistent_values(dae, t, own)
+            own = Values(values.x[i], values.p[i], values.u[i])
+            x[i], z[i] = consistent_values(dae, t, own)
         except InitialConditionError:
-            begins[run] = False
+            begins[i] = False
     return x, z, begins
 
 
@@ -111,7 +124,7 @@ class EventBlocks:
     ) -> None:
         self._request = request
         self._prepared = prepared
-        self._solver = solver
+        self.solver = solver
         self._tolerance = solver.tolerance.pair
         self._system = system
         self._values = values
@@ -125,6 +138,7 @@ class EventBlocks:
         self._next = 0  # the first run that no block holds yet
         self._interrupted = False
         self._ready = dict[int, Row]()
+        self._left = set[int]()  # runs in which something else happens
 
     def take(self, position: int) -> Row | None:
         """Return a run; None if it is left to `run`. Runs are taken in their order.
@@ -134,11 +148,28 @@ class EventBlocks:
         """
         while position >= self._next and not self._interrupted:
             self._ready.clear()
+            self._left.clear()
             self._compute(position)
         if position >= self._next:
             interrupt_noticed()
             raise KeyboardInterrupt
+        if position in self._left and self.solver.leaves_stiff:
+            return self._alone(position)
         return self._ready.pop(position, None)
+
+    def _alone(self, position: int) -> Row | None:
+        """Return a run by `run` with the solver of the blocks; None if that fails."""
+        try:
+            found = run(replace(self._request, values=self._own(position)))
+        except (SolverError, InitialConditionError, CompilerTimeout):
+            return None
+        time = self._prepared.problem.grid
+        if self._prepared.rows is not None:
+            time = time[self._prepared.rows]
+        return Row.of(found, time)
+
+    def _own(self, position: int) -> dict[str, float]:
+        return {name: float(column[position]) for name, column in self._values.given.items()}
 
     def _compute(self, first: int) -> None:
         """Compute a block of runs, from the first one on."""
@@ -158,6 +189,7 @@ class EventBlocks:
             self._next = going[min(len(done), len(going) - 1)]
         time = (perf_counter() - began) / max(1, len(done))
         ends = report[:, 3].astype(int).cumsum()
+        self._left = {going[k] for k in np.flatnonzero(report[: len(done), 0] == _LEFT_ALONE)}
         dae, grid = self._system.dae, self._prepared.problem.grid
         for k in np.flatnonzero(report[: len(done), 0] == _COMPLETE).tolist():
             counts = Counts(int(report[k, 1]), int(report[k, 2]), 0)
@@ -171,12 +203,12 @@ class EventBlocks:
     def _pulses(self, p: Vector) -> Vector:
         """Return the times at which steps must end for terms of time, as of a single run."""
         begin, end = self._prepared.problem.grid[[0, -1]].tolist()
-        longest = min(end - begin, self._solver.max_step or np.inf)
+        longest = min(end - begin, self.solver.max_step or np.inf)
         return pulse_times(self._system.dae, p, begin, end, longest)
 
     def _call(self, x: Vector, z: Vector, u: Vector, p: Vector) -> tuple[list[Vector], Vector]:
         """Return states, unknowns and inputs, (runs, times, ...), and the report of each run."""
-        system, solver, grid = self._system, self._solver, self._prepared.problem.grid
+        system, solver, grid = self._system, self.solver, self._prepared.problem.grid
         dae, runs, n = self._prepared.problem.dae, len(x), len(grid)
         constants = np.ascontiguousarray(np.array(self._constants(p.T)).T)
         modes = np.ones((runs, len(system.relations)))
@@ -188,7 +220,7 @@ class EventBlocks:
         work = np.empty((n + 1) * (1 + x.shape[1] + z.shape[1]))
         arrays = (grid, constant, *given, own_sizes(dae, x), *rows, self._records, report, work)
         block = _Block(
-            *(runs, n, len(self._records), bool(system.of_states)),
+            *(runs, n, len(self._records), bool(system.of_states), solver.leaves_stiff),
             *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )
@@ -203,7 +235,7 @@ class EventBlocks:
         return float((report[:, 0] != _NOT_BEGUN).mean())
 
     def _finished(
-        self, run: int, motion: Motion, values: Values, events: NDArray[np.void]
+        self, position: int, motion: Motion, values: Values, events: NDArray[np.void]
     ) -> Row | None:
         """Return a run from its motion and its instants; None if it is left to `run`."""
         known = unquestioned(motion, values.p, with_conditions(self._prepared.problem.dae))
@@ -214,7 +246,7 @@ class EventBlocks:
             return None
         none = np.empty((0, 0))  # results of many runs hold the motion, but not its columns
         short = replace(motion, time=none, states=none, algebraics=none, u=none)
-        make = partial(self._trajectory, run, short, recorded, values, events.copy())
+        make = partial(self._trajectory, position, short, recorded, values, events.copy())
         switched = (events["before"]["modes"] != events["after"]["modes"]) | (events["zero"] > 0)
         happened = events["order"].any() or switched[:, self._in_laws].any()
         return Row(
@@ -232,7 +264,7 @@ class EventBlocks:
 
     def _trajectory(
         self,
-        run: int,
+        position: int,
         motion: Motion,
         recorded: Recorded,
         values: Values,
@@ -243,5 +275,18 @@ class EventBlocks:
         motion = replace(motion, events=records_of(self._system, passed), instants=instants)
         times = motion.solve_time or 0.0, 0.0
         found = trajectory_of(self._prepared, motion, recorded, values, times)
-        own = {name: float(column[run]) for name, column in self._values.given.items()}
-        return repeatable(found, replace(self._request, values=own), self._prepared)
+        request = replace(self._request, values=self._own(position))
+        alone = self._values.select(np.array([position]))
+        again = partial(_block_of_one, alone, self.solver, found)
+        return repeatable(found, request, self._prepared, again)
+
+
+def _block_of_one(
+    values: ManyValues, solver: Dop853, known: Trajectory, request: RunRequest
+) -> Trajectory:
+    """Return a known run at the output times of a request."""
+    blocks = event_blocks(request, values, solver)
+    row = None if blocks is None else blocks.take(0)
+    if row is None:
+        return run(request)
+    return replace(known, time=request.times.requested, values=row.values)

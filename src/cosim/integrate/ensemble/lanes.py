@@ -33,7 +33,7 @@ CAUSES = {  # by code of the library
     5: "interrupted",
     6: "outside the model's validity conditions",
 }
-HALTED, OUTSIDE = 5, 6
+STUCK, HALTED, OUTSIDE = 1, 5, 6
 
 
 # Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
@@ -155,7 +155,7 @@ def run_lanes(
 
 def in_lanes(
     request: RunRequest, values: ManyValues, tolerance: Tolerance, threads: int, lanes: int | None
-) -> tuple[Ensemble, Integers]:
+) -> tuple[Ensemble, Integers, Integers]:
     """Run an explicit formulation in lanes.
 
     Args:
@@ -165,7 +165,8 @@ def in_lanes(
         threads, lanes: See `simulate_many`.
 
     Returns:
-        The runs, and the positions of those in which a deviation grows that no step has seen.
+        The runs, and the positions of those in which a deviation grows that no step has seen, and
+        of those that take too many steps.
     """
     on_invalid = request.policy.on_invalid
     names = request.outputs or request.dae.observed
@@ -234,7 +235,7 @@ def in_lanes(
         (float(grid[0]), ended["straight"][straight], float(grid[-1])),
         tolerance.pair[1],
     )
-    return ensemble, lines[growing]
+    return ensemble, lines[growing], going[ended["code"] == STUCK]
 
 
 def nominal_sizes(dae: Dae, x: Vector, tolerance: Tolerance) -> Vector:

@@ -23,10 +23,11 @@ from cosim.errors import (
     SolverError,
     UsageError,
 )
+from cosim.integrate.call import RunStats
 from cosim.integrate.ensemble.ensemble import Ensemble, LazyRuns, Row, RunState
 from cosim.integrate.ensemble.event_blocks import EventBlocks, event_blocks
 from cosim.integrate.ensemble.lanes import in_lanes, processors
-from cosim.integrate.families.explicit import Dop853
+from cosim.integrate.families.explicit import Dop853, NonStiffDop853
 from cosim.integrate.keywords import SharedKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
@@ -50,11 +51,11 @@ def simulate_many(
 ) -> Ensemble:
     """Integrate many variants of a model.
 
-    Explicit formulations run in SIMD lanes with `dop853`, each variant with its own steps; the
-    result of a variant does not depend, bit for bit, on the others, on their order or on the
-    threads. Variants of other models, with other solvers or with input series, variants that begin
-    at an unstable equilibrium but for a tiny deviation, and variants on machines without a compiler
-    run one by one.
+    Explicit formulations run in SIMD lanes with `dop853`, or in blocks if they have events, each
+    variant with its own steps; the result of a variant does not depend, bit for bit, on the others,
+    on their order or on the threads. Variants of other models, with other solvers or with input
+    series, variants that begin at an unstable equilibrium but for a tiny deviation, and variants on
+    machines without a compiler run one by one, as do variants that are too stiff for `dop853`.
 
     Args:
         dae: The model, or a request whose fields are the defaults; SI units throughout.
@@ -89,22 +90,25 @@ def simulate_many(
         raise UsageError(f"{request.dae.full_name}: stop_when is for single runs; leave it out")
     columns = {**request.values, **(start_values or {})} if request.values else start_values
     values = assign_many(request.dae, columns)
+    chosen = usual_solver(request)
     solver = lane_solver(request)
     if solver is not None:
-        chosen: Solver = solver
+        chosen = solver
         workers = threads or processors()
-        found, growing = in_lanes(request, values, solver.tolerance, workers, lanes)
-        if len(growing) and not found.interrupted:
-            alone = _one_by_one(replace(request, solver=solver), values.select(growing))
-            found = found.with_runs(growing, alone)
+        found, growing, stuck = in_lanes(request, values, solver.tolerance, workers, lanes)
+        stuck = stuck if solver != request.solver else stuck[:0]
+        for own, runs in (replace(request, solver=solver), growing), (request, stuck):
+            if len(runs) and not found.interrupted:
+                found = found.with_runs(runs, _one_by_one(own, values.select(runs), solver))
     else:
         if lanes is not None:
             why = "explicit formulations and dop853, compiled, without input series"
             if hybrid(request.dae) is not None:
                 why = "models without events, which happen at another time in each run"
             raise UsageError(f"{request.dae.full_name}: lanes are for {why}; leave lanes out")
-        chosen, _ = chosen_solver(request.dae, request.solver, projected=request.policy.projects)
-        found = _one_by_one(request, values)
+        blocks = event_blocks(request, values, explicit_solver(request))
+        chosen = chosen if blocks is None else blocks.solver
+        found = _one_by_one(request, values, chosen, blocks)
     numbers = {name: value for name, value in vars(chosen).items() if value is not None}
     stats = {"solver": chosen.name, **numbers, **found.stats}
     again = partial(values_at, request, values.given, lanes) if chosen.adaptive else None
@@ -156,11 +160,10 @@ def runs_in_lanes(request: RunRequest) -> bool:
 
 def lane_solver(request: RunRequest) -> Dop853 | None:
     """Return the solver for lanes, with its tolerance; None if variants run one by one."""
-    dae, solver, policy = request.dae, request.solver, request.policy
+    dae, policy, solver = request.dae, request.policy, explicit_solver(request)
     begin, end = request.times.span(dae)
-    explicit = not dae.algebraics and bool(dae.states) and fits_lanes(dae) and hybrid(dae) is None
-    plain = request.inputs is None and policy.drift_control is None and policy.compiled is not False
-    if not (explicit and plain and end > begin and has_compiler()):
+    plain = request.inputs is None and policy.drift_control is None and not dae.algebraics
+    if solver is None or not (plain and end > begin and fits_lanes(dae) and hybrid(dae) is None):
         return None
     resting = {v.name for v in dae.inputs}  # in each run
     if {*landmarks(dae).moving, *landmarks(dae).passed} - resting:
@@ -168,28 +171,62 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     longest = request.max_step or end - begin
     if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):
         return None
+    return solver
+
+
+def usual_solver(request: RunRequest) -> Solver:
+    """Return the solver of single runs of a request."""
+    return chosen_solver(request.dae, request.solver, projected=request.policy.projects)[0]
+
+
+def explicit_solver(request: RunRequest) -> Dop853 | None:
+    """Return the compiled solver of many variants; None if another one is requested or better."""
+    dae, solver = request.dae, request.solver
+    if not dae.states or request.policy.compiled is False or not has_compiler():
+        return None
     if isinstance(solver, Dop853):
         return solver
-    if solver is None or isinstance(solver, Tolerance):
-        return Dop853(**(solver or Tolerance()).keywords)
+    if not dae.algebraics and (solver is None or isinstance(solver, Tolerance)):
+        kind = Dop853 if hybrid(dae) is None else NonStiffDop853
+        return kind(**(solver or Tolerance()).keywords)
     return None
 
 
-def _one_by_one(request: RunRequest, values: ManyValues) -> Ensemble:
-    """Run every variant by `run`; see `in_lanes`."""
+def _one_by_one(
+    request: RunRequest, values: ManyValues, solver: Solver, blocks: EventBlocks | None = None
+) -> Ensemble:
+    """Run every variant in blocks or by `run`; see `in_lanes`.
+
+    Args:
+        request: The run; its values are ignored.
+        values: Values of every run.
+        solver: The solver of all variants; a note says which of them have another one.
+        blocks: Runs that are computed together; None if there are none.
+    """
     names = request.outputs or request.dae.observed
     dae = watching(request.dae, names)
     grid = request.times.grid(dae, len(values) * len(names))
+    usual = usual_solver(request)
+
+    def alone(given: dict[str, float]) -> Trajectory:
+        found = run(replace(request, values=given))
+        if solver.name == usual.name:
+            return found
+        assert isinstance(found.stats, RunStats)
+        other = f"computed by {usual.name}, not {solver.name}"
+        note = "; ".join(filter(None, (other, found.stats.note)))
+        return replace(found, stats=replace(found.stats, note=note))
+
     return one_by_one(
         dae.full_name,
         request.times.requested if request.times.own else grid,
         recorded_columns(dae, names)[0],
         values.given,
         len(values),
-        lambda given: run(replace(request, values=given)),
+        alone,
         values.refused,
         stops=request.policy.on_invalid is OnInvalid.STOP,
-        blocks=event_blocks(request, values),
+        blocks=blocks,
     )
 
 

@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -50,11 +51,21 @@ class Dop853(AdaptiveSolver):
     takes_nominal_values = True
     watches = True
     takes_times = True
+    leaves_stiff: ClassVar[bool] = False
 
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
         settings = (*self.tolerance.pair, self.max_step or np.inf)
-        return explicit_engine(problem, self.name, dop853_method(), settings)
+        found = explicit_engine(problem, self.name, dop853_method(), settings)
+        if isinstance(found.direct, DirectCall):
+            found.direct.leaves_stiff = self.leaves_stiff
+        return found
+
+
+class NonStiffDop853(Dop853):
+    """The same, but it fails at once where a run turns out to be stiff."""
+
+    leaves_stiff = True
 
 
 def explicit_engine(
@@ -176,6 +187,7 @@ class DirectCall:
             self._events = room[:0] if system.sliding or system.dae.derived else room
         library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong
         self._work = work_space(library)
+        self.leaves_stiff = False
         self._p: bytes | None = None
         self._c = np.empty(constants.numel_out(0))
         self._extended = np.concatenate((self._c, known))
@@ -208,7 +220,9 @@ class DirectCall:
             library.cosim_events(next(places), count, *places)
         else:
             library.cosim_events(None, ctypes.c_longlong(0), None, None)
+        library.cosim_leaves_stiff(self.leaves_stiff)
         failed = self._run(arguments, results, integers, doubles, 0)
+        library.cosim_leaves_stiff(False)
         passed = None if events is None else events[: library.cosim_recorded()].copy()
         if not failed:
             return Filled(True, len(states), None, passed)

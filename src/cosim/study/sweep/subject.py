@@ -19,8 +19,14 @@ from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.instance import by_name
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.integrate.ensemble.ensemble import Ensemble
-from cosim.integrate.ensemble.simulate_many import one_by_one, runs_in_lanes, simulate_many
+from cosim.integrate.ensemble.simulate_many import (
+    explicit_solver,
+    one_by_one,
+    runs_in_lanes,
+    simulate_many,
+)
 from cosim.integrate.keywords import TimeKeywords, requested
+from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.solvers import chosen_solver
 from cosim.model.catalogue import load
@@ -105,6 +111,9 @@ class ModelSubject:
             outputs = tuple(column.name for column in self.columns(settings.get("outputs")))
             lane_library(self._watching(outputs), outputs, processor_lanes())
             return f"dop853 in {processor_lanes()} lanes"
+        solver = explicit_solver(request)
+        if solver is not None and hybrid(dae) is not None:
+            return f"{solver.name} in blocks"
         return str(settings.get("solver") or "one by one")
 
     def run(
