@@ -49,7 +49,11 @@ static int problem_slope(void *problem, double t, const double *x, double *dx) {
 
 static double problem_scale(const void *problem, int i, double x) {
     const Problem *self = problem;
-    return self->tolerance * (ABSOLUTE * variables[FIRST_STATE + i].nominal + fabs(x));
+    const VariableInfo *state = &variables[FIRST_STATE + i];
+    const double absolute = ABSOLUTE * state->nominal, size = fabs(x);
+    /* what grows from a small value in proportion to it needs the digits of that */
+    const bool is_low = state->rests_at_zero && size < absolute * sqrt(self->tolerance);
+    return self->tolerance * (is_low ? size + DBL_MIN / DBL_EPSILON : absolute + size);
 }
 
 #if HAS_RANK

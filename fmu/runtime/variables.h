@@ -40,8 +40,9 @@ typedef struct {
     StartKind start_kind;
     double start; /* of a calculated state: what it comes to, about */
     double nominal, minimum, maximum;
-    double guess; /* of a calculated state: where its solution begins */
-    bool tunable; /* a parameter that may change during a run */
+    double guess;       /* of a calculated state: where its solution begins */
+    bool tunable;       /* a parameter that may change during a run */
+    bool rests_at_zero; /* a state whose derivative is 0 where it is 0 */
 } VariableInfo;
 
 /* Value reference of the first variable of each role. */

@@ -256,7 +256,7 @@ def hunters(start: float):
 
 def test_the_note_names_states_that_grow_from_a_trough():
     note = simulate(hunters(12.0)).stats.note
-    assert "x (down to" in note
+    assert "x shrinks to" in note
     assert simulate(hunters(2.0)).stats.note is None
 
 

@@ -52,6 +52,7 @@ class Problem:
         project: Whether every step ends with a projection onto the constraints.
         nominal: Nominal value of each state, for solvers with `takes_nominal_values`; 1 SI unit if
             empty.
+        shares: Of the absolute tolerance that each state has; empty for 1, as in that of an engine.
         in_own_time: Whether the times are shares of a span, whose begin and length, s, follow the
             model's parameters.
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
@@ -66,6 +67,7 @@ class Problem:
     piecewise: bool = False
     project: bool = False
     nominal: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()
     in_own_time: bool = False
     system: Hybrid | None = None
 

@@ -26,7 +26,7 @@ from cosim.integrate.location import Piece, located, with_input_rates, with_slop
 from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
+from cosim.integrate.passed_over import attentive, between, with_conditions, with_note_on_steps
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
@@ -65,11 +65,12 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
 
     def attempt(closer: Closer | None, grid: Vector, ends: Vector) -> Motion:
         own = replace(problem, times=grid.tobytes())
-        if system is not None or breaks or len(pulses) or len(ends) or closer:
+        part = closer is not None and closer.until < grid[-1]
+        if system is not None or breaks or len(pulses) or len(ends) or part:
             no_events = Hybrid(problem.dae, (), (), ())
-            every = np.union1d(pulses, [*ends, closer.until] if closer else ends)
+            every = np.union1d(pulses, [*ends, closer.until] if closer and part else ends)
             return _Course(own, system or no_events, solver, start, every, closer).run()
-        found = scaled_call(own, solver, start)
+        found = scaled_call(_with_shares(own, closer), solver, start)
         u = input_values(problem.dae, grid, start.values, problem.inputs)
         n = found.states.shape[1]
         columns = found.states, found.algebraics, u[:, :n]
@@ -86,9 +87,18 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
             solver.tolerance.pair[0],
             with_conditions(problem.dae),
         ),
+        lambda closer, steps: attempt(closer, np.unique(between(rows, steps)), np.empty(0)),
         solver,
         start.values.p,
     )
+
+
+def _with_shares(problem: Problem, closer: Closer | None) -> Problem:
+    """Return a problem with the absolute tolerances of the first part of a run."""
+    if closer is None:
+        return problem
+    nx = problem.dae.x.numel()
+    return replace(problem, shares=tuple(np.broadcast_to(closer.shares, nx).tolist()))
 
 
 def records_of(system: Hybrid, passed: Sequence[Passed], first: int = 0) -> list[EventRecord]:
@@ -305,21 +315,16 @@ class _Course:
             inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks
             looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
             own_problem = replace(problem, times=looks.tobytes())
+            if self.closer and self.at.t < self.closer.until:
+                own_problem = _with_shares(own_problem, self.closer)
             start = self.at, self.began, self.values.p, self.kernel
-            piece = Piece(self.system, own, own_problem, self._solver(), *start)
+            piece = Piece(self.system, own, own_problem, self.solver, *start)
             self.reached.append(piece.reached)
             steps = (piece.reached.counts.steps or 0) / len(looks)
             enough = steps <= _STEPS_PER_LOOK or piece.reached.watched or piece.reason
             if enough or not self.system.of_states:
                 return piece
             self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)
-
-    def _solver(self) -> Solver:
-        """Return the solver for what follows the present instant."""
-        closer, solver = self.closer, self.solver
-        if closer and self.at.t < closer.until and isinstance(solver, AdaptiveSolver):
-            return replace(solver, absolute_tolerance=closer.absolute)
-        return solver
 
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before the last of them."""

@@ -23,26 +23,34 @@ from cosim.model.growth import (
     suppressed_growth,
 )
 from cosim.model.solver import AdaptiveSolver
+from cosim.model.troughs import MOST_TRIALS, Trough, any_rests, deepest_trough
 from cosim.model.values import own_sizes
+
+_MOST_STEPS = 2_000  # in which a motion is looked at
 
 
 def followed_growth(
-    run: Callable[[Closer | None], Motion], solver: AdaptiveSolver, p: Vector
+    run: Callable[[Closer | None], Motion],
+    look: Callable[[Closer | None, int], Motion],
+    solver: AdaptiveSolver,
+    p: Vector,
 ) -> Motion:
-    """Return the motion of a solver, or one with a smaller tolerance where deviations need it.
+    """Return the motion of a solver, or one with smaller tolerances where digits are lost.
 
     Args:
-        run: Integrates, the first part with a smaller tolerance.
+        run: Integrates, the first part with smaller tolerances.
+        look: The same, with several rows in each of so many steps.
         solver: The solver.
         p: Parameters.
     """
-    motion = run(None)
     relative, absolute = solver.tolerance.pair
-    growth = None if motion.reason else growth_in(motion, p, relative, absolute)
+    motion, refined = _with_digits(run, look, (relative, absolute), p)
+    ended = refined or motion.reason
+    growth = None if ended else growth_in(motion, p, relative, absolute)
     if growth is None:
         return motion
     sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
-    closer = growth.closer(relative)
+    closer = growth.closer(relative, absolute)
     followed = run(closer)
     if followed.reason == INTERRUPTED:
         return followed
@@ -50,8 +58,57 @@ def followed_growth(
     helps = found is followed and not stays_suppressed(
         _path(found, sizes, p), steps, relative, absolute
     )
-    text = growth.note(closer, helps)
-    return replace(found, note="; ".join(filter(None, (found.note, text))))
+    return _noted(found, growth.note(closer, absolute, helps))
+
+
+def _noted(motion: Motion, text: str) -> Motion:
+    return replace(motion, note="; ".join(filter(None, (motion.note, text))))
+
+
+def _with_digits(
+    run: Callable[[Closer | None], Motion],
+    look: Callable[[Closer | None, int], Motion],
+    tolerance: tuple[float, float],
+    p: Vector,
+) -> tuple[Motion, bool]:
+    """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
+    motion = run(None)
+    sizes = own_sizes(motion.dae, motion.states[:, 0])
+    steps = min(motion.counts.steps or 0, _MOST_STEPS)
+    few = len(motion.time) < 2 * steps and not motion.reason
+    if not tolerance[1] or (few and not any_rests(_path(motion, sizes, p))):
+        return motion, False
+    seen = look(None, steps) if few else motion
+    shares = np.ones(len(sizes))
+    first: Trough | None = None
+    for trial in range(MOST_TRIALS + 1):
+        if INTERRUPTED in (seen.reason, motion.reason):
+            return replace(motion, reason=INTERRUPTED), False
+        trough = _trough(seen, sizes, tolerance, shares, p)
+        if trough is None or trial == MOST_TRIALS:
+            break
+        shares = trough.shares
+        found = run(trough.closer())
+        if found.reason and not motion.reason:
+            break
+        first = trough
+        motion = found
+        seen = look(trough.closer(), steps) if few else motion
+    worst = first or trough
+    if worst is None:
+        return motion, False
+    return _noted(motion, worst.note(worst.closer(), tolerance[1], trough is None)), True
+
+
+def _trough(
+    motion: Motion, sizes: Vector, tolerance: tuple[float, float], shares: Vector, p: Vector
+) -> Trough | None:
+    times = np.array([before.t for before, _ in motion.instants])
+    which = np.array([before.x != after.x for before, after in motion.instants], dtype=bool)
+    jumps = times, which.reshape(-1, len(sizes)).T
+    return deepest_trough(
+        _path(motion, sizes, p), tolerance, shares, jumps=jumps, complete=not motion.reason
+    )
 
 
 def growth_in(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:

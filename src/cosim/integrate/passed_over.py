@@ -138,7 +138,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     few = len(plain.time) < 2 * steps  # such rows show too little of the motion
     if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
         return plain
-    rows, ends, places = _dense(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
+    rows, ends, places = between(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
     motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
     settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
@@ -290,8 +290,9 @@ def _inside(grid: Vector, times: list[Vector]) -> Vector:
     return np.asarray(every[(grid[0] < every) & (every < grid[-1])])
 
 
-def _dense(grid: Vector, steps: int) -> Vector:
-    """Return times between those of a grid, so that every average step has several."""
+def between(grid: Vector, steps: int) -> Vector:
+    """Return a grid with times between its own, so that every average step has several."""
+    steps = min(steps, _MOST_STEPS)
     count = np.ceil(_ROWS * steps * np.diff(grid) / (grid[-1] - grid[0])).astype(int)
     gaps = [np.linspace(a, b, n + 1) for a, b, n in zip(grid, grid[1:], count, strict=False)]
     return np.concatenate(gaps)

@@ -36,26 +36,29 @@ class Growth(NamedTuple):
     growth_time: float
     size: float
 
-    def closer(self, relative: float) -> "Closer":
+    def closer(self, relative: float, absolute: float) -> "Closer":
         """Return the absolute tolerance that follows the deviation until it has nominal size.
 
         Args:
             relative: Relative tolerance of the run, which then is that of the deviation.
+            absolute: Absolute tolerance of the run, in nominal values.
         """
-        return Closer(relative * self.size, self.time - self.growth_time * float(np.log(self.size)))
+        until = self.time - self.growth_time * float(np.log(self.size))
+        return Closer(np.array(relative * self.size / absolute), until)
 
-    def note(self, closer: "Closer", followed: bool) -> str:
+    def note(self, closer: "Closer", absolute: float, followed: bool) -> str:
         """Return what to say of a run.
 
         Args:
             closer: See `closer`.
-            followed: Whether the run was repeated with this tolerance.
+            absolute: Absolute tolerance of the run, in nominal values.
+            followed: Whether the run was repeated with the smaller tolerance.
         """
+        own = f"absolute_tolerance {absolute * float(closer.shares):.2g}"
         if followed:
-            advice = f"ran with absolute_tolerance {closer.absolute:.2g} up to {closer.until:.6g} s"
-            advice += ", so that it is followed"
+            advice = f"ran with {own} up to {closer.until:.6g} s, so that it is followed"
         else:
-            advice = f"it may be suppressed; give absolute_tolerance {closer.absolute:.2g}"
+            advice = f"it may be suppressed; give {own}"
         return (
             f"from {self.time:.6g} s on, a deviation of {self.size:.2g} nominal values of "
             f"{self.state} grows by e every {self.growth_time:.3g} s; {advice}"
@@ -63,14 +66,14 @@ class Growth(NamedTuple):
 
 
 class Closer(NamedTuple):
-    """A smaller tolerance for the first part of a run.
+    """Smaller absolute tolerances for the first part of a run.
 
     Attributes:
-        absolute: Absolute tolerance, in nominal values.
+        shares: Shares of its absolute tolerance, of shape () or (nx,).
         until: End of that part, s.
     """
 
-    absolute: float
+    shares: Vector
     until: float
 
 

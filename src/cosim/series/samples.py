@@ -213,11 +213,11 @@ def _neville(t: Vector, y: Vector, at: Vector) -> Vector:
 def uncontrolled(
     columns: Sequence[Column], values: Vector, relative: float, absolute: ArrayLike
 ) -> str:
-    """Return which states became too small for the error control of their run; "" if none.
+    """Return which states stay too small for the error control of their run; "" if none.
 
     Of a number well below its absolute tolerance divided by the relative one, a solver controls
-    fewer digits than it was asked for: fewer than half of them below their geometric mean. That
-    matters if the state stays there, or grows again from there.
+    fewer digits than it was asked for: fewer than half of them below their geometric mean. What
+    grows again from there is the matter of `model.troughs`.
 
     Args:
         columns: Of the states.
@@ -230,13 +230,9 @@ def uncontrolled(
     rounding = ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
     limits = np.broadcast_to(np.asarray(absolute) / np.sqrt(relative), peaks.shape)
     found = []
-    for column, own, peak, limit in zip(columns, values.T, peaks, limits, strict=True):
-        if column.nominal != NOT_GIVEN or peak <= rounding:
-            continue
-        if peak < limit:
+    for column, peak, limit in zip(columns, peaks, limits, strict=True):
+        if column.nominal == NOT_GIVEN and rounding < peak < limit:
             found.append(f"{column.name} (at most {peak:.1g})")
-        elif (least := _least_of_troughs(own, limit)) is not None:
-            found.append(f"{column.name} (down to {least:.1g})")
     if not found:
         return ""
     many = len(found) > 1
@@ -244,18 +240,3 @@ def uncontrolled(
         f"the error control leaves most digits of {', '.join(found)} open, since the nominal value "
         f"of {'each' if many else 'it'} is 1; give nominal values, or a smaller absolute_tolerance"
     )
-
-
-def _least_of_troughs(values: Vector, limit: float) -> float | None:
-    """Return the least size of a state that falls below a limit and grows again in its sign."""
-    low = np.abs(values) < limit
-    if not low.any():
-        return None
-    begins, ends = (np.flatnonzero(np.diff(low.astype(int)) == step) for step in (1, -1))
-    least = [
-        float(np.abs(values[begin : end + 2]).min())
-        for begin in begins
-        for end in ends[ends > begin][:1]
-        if values[begin : end + 2].min() > 0 or values[begin : end + 2].max() < 0
-    ]
-    return min(least, default=None)

@@ -171,6 +171,7 @@ def _fields(variable: FmuVariable) -> tuple[str, ...]:
         _double(variable.maximum),
         _double(guess or 0.0),
         str(variable.tunable).lower(),
+        str(variable.rests_at_zero).lower(),
     )
 
 

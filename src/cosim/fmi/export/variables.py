@@ -11,7 +11,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
+from casadi_models.dae.expressions import at_irregular_place
 from casadi_models.units import UNITS, Unit
+from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
 from cosim.errors import UsageError
 from cosim.model.values import own_sizes
@@ -44,6 +46,7 @@ class FmuVariable:
         observed: Whether the variable is an output of the FMU, which importers record.
         derivative_of: Value reference of the state, for a derivative.
         tunable: Whether an importer may change a parameter during a run.
+        rests_at_zero: Whether a state stays 0 where it is 0.
         guess: Initial guess of a calculated start value; `start` is then the solution, or None if
             there is none.
         alias: Flat name of a variable whose name is structured.
@@ -62,6 +65,7 @@ class FmuVariable:
     observed: bool = False
     derivative_of: int | None = None
     tunable: bool = False
+    rests_at_zero: bool = False
     guess: float | None = None
     alias: str | None = None
 
@@ -82,12 +86,14 @@ def _variables(
     observed = frozenset(dae.observed)
     yield FmuVariable("time", "simulation time", "s", Role.TIME)
     sizes = own_sizes(dae, np.array(dae.x_start)).tolist()
-    for state, guess, start, size in zip(
-        dae.states, dae.x_start, _settled(dae), sizes, strict=True
+    for state, guess, start, size, rests in zip(
+        dae.states, dae.x_start, _settled(dae), sizes, _resting(dae), strict=True
     ):
         calculated = state.start_kind is Start.CALCULATED
         starts = {"start": start, "guess": guess} if calculated else {"start": guess}
-        yield _fmu_variable(state, Role.STATE, observed, nominal=size, **starts)
+        yield _fmu_variable(
+            state, Role.STATE, observed, nominal=size, rests_at_zero=rests, **starts
+        )
     for i, state in enumerate(dae.states):  # deg/s where the state is shown in deg
         shown = rate_unit(state.display_unit)[0] if state.display_unit else None
         yield FmuVariable(
@@ -112,6 +118,19 @@ def _variables(
     if valid:
         meaning = "whether every limit of the model holds"
         yield FmuVariable(VALID, meaning, "", Role.VALIDITY, observed=True)
+
+
+def _resting(dae: Dae) -> list[bool]:
+    """Return whether each state stays 0 where it is 0, as its derivative at two places tells."""
+    symbols = ca.vertcat(dae.x, *dae.arguments[:1], *dae.arguments[2:])
+    n = len(dae.states)
+    found = np.full(n, True)
+    for power in (1, 2):
+        place = np.array(at_irregular_place(symbols**power, symbols)).reshape(-1, 1)
+        x = np.where(np.eye(n, dtype=bool), 0, place[:n])
+        t, z, u, p = np.split(place[n:], np.cumsum([a.numel() for a in (dae.t, dae.z, dae.u)]))
+        found &= np.diag(np.array(equations(dae)(t, x, z, u, p)[0])) == 0
+    return [bool(rests) for rests in found]
 
 
 def _settled(dae: Dae) -> list[float | None]:

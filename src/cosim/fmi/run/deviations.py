@@ -9,6 +9,7 @@ from cosim.arrays import Vector
 from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.request import FmuRequest
 from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
+from cosim.model.troughs import Trough, deepest_trough
 
 _MOST_ROWS = 20_000  # of which every second one is dropped
 _STEP = float(np.cbrt(np.finfo(float).eps))  # of a central difference, in sizes of its state
@@ -23,24 +24,28 @@ class Deviations:
         clock: Sets time and inputs.
 
     Attributes:
-        found: The smallest deviation that grows unseen, or that stays suppressed in a run that
-            follows it; None if there is none.
+        names: Of the states.
+        rows: Times, s, and states, in their order.
+        found: A state that grows from few digits, or the smallest deviation that grows unseen, or
+            that stays suppressed in a run that follows it; None if there is none.
     """
 
     def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
         self._instance, self._clock = instance, clock
-        self._names = _state_names(request.description)
+        self.names = _state_names(request.description)
         self._tolerance = request.relative_tolerance
         self._follows = request.closer is not None
-        self.found: Growth | None = None
-        self._rows: list[tuple[float, Vector]] = []
+        own = request.closer.shares if request.closer else 1.0
+        self._shares = np.ones(len(self.names)) * (own if np.ndim(own) else 1.0)
+        self.found: Growth | Trough | None = None
+        self.rows: list[tuple[float, Vector]] = []
 
     def note(self, time: float) -> None:
         """Note the present states."""
-        if self._names:
-            self._rows.append((time, self._block(self._instance.getContinuousStates)))
-        if len(self._rows) > _MOST_ROWS:
-            del self._rows[1:-1:2]
+        if self.names:
+            self.rows.append((time, self._block(self._instance.getContinuousStates)))
+        if len(self.rows) > _MOST_ROWS:
+            del self.rows[1:-1:2]
 
     def judge(self, steps: int) -> None:
         """Look back over the motion since the last event, and begin anew.
@@ -48,12 +53,12 @@ class Deviations:
         Args:
             steps: Number of the solver's steps.
         """
-        rows, self._rows = self._rows, []
+        rows, self.rows = self.rows, []
         if len(rows) < 2:
             return
         times, states = zip(*rows, strict=True)
         path = StatePath(
-            self._names,
+            self.names,
             np.array(times),
             np.array(states).T,
             self._block(self._instance.getNominalsOfContinuousStates),
@@ -61,15 +66,20 @@ class Deviations:
             self._slopes,
         )
         tolerances = self._tolerance, self._tolerance
-        found = suppressed_growth(path, steps, *tolerances)
+        trough = deepest_trough(path, tolerances, self._shares)
+        if trough and not isinstance(self.found, Trough):
+            self.found = trough
+        found = None if trough else suppressed_growth(path, steps, *tolerances)
         if self._follows and found and not stays_suppressed(path, steps, *tolerances):
             found = None
         self._rates(*rows[-1])
+        if isinstance(self.found, Trough):
+            return
         if found and (self.found is None or found.size < self.found.size):
             self.found = found
 
     def _block(self, getter: Any) -> Vector:
-        values = (c_double * len(self._names))()
+        values = (c_double * len(self.names))()
         getter(values, len(values))
         return np.array(values)
 

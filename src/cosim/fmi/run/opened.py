@@ -3,7 +3,7 @@
 import ctypes
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from enum import StrEnum
 from math import isfinite
@@ -40,6 +40,7 @@ from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Growth
+from cosim.model.troughs import MOST_TRIALS, Trough
 from cosim.trajectory import Event, Trajectory
 
 
@@ -73,24 +74,32 @@ class OpenedFmu:
     def run(self, request: FmuRequest, master: Master = Master.FMPY) -> Trajectory:
         """Run it once more, from its initial state.
 
-        Where a deviation grows unseen in model exchange, it runs again with a smaller absolute
-        tolerance.
+        Where a deviation grows unseen in model exchange, or a state loses its digits, it runs again
+        with a smaller absolute tolerance.
         """
-        run, growth = self._run(request, master)
-        if growth is None:
-            return run
-        closer = growth.closer(request.relative_tolerance)
-        if master is Master.C:
-            closer = closer._replace(until=request.stop)
-        self._drop()  # the reset of a file of another tool may be incomplete
-        try:
-            found, left = self._run(replace(request, closer=closer), master)
-        except FmuError:
-            found, left = run, growth
-        notes = found.stats.get("note"), growth.note(closer, left is None)
-        return replace(found, stats={**found.stats, "note": "; ".join(filter(None, notes))})
+        found, lost = self._run(request, master)
+        trials = MOST_TRIALS if isinstance(lost, Trough) else 1
+        relative = request.relative_tolerance
+        text = ""
+        while lost and trials:
+            trials -= 1
+            last, closer = lost, lost.closer(relative, relative)
+            if master is Master.C:
+                closer = closer._replace(until=request.stop)
+            self._drop()  # the reset of a file of another tool may be incomplete
+            with suppress(FmuError):
+                found, lost = self._run(replace(request, closer=closer), master)
+            text = last.note(closer, relative, lost is None)
+            if lost is last:
+                break
+        if not text:
+            return found
+        note = "; ".join(filter(None, (found.stats.get("note"), text)))
+        return replace(found, stats={**found.stats, "note": note})
 
-    def _run(self, request: FmuRequest, master: Master) -> tuple[Trajectory, Growth | None]:
+    def _run(
+        self, request: FmuRequest, master: Master
+    ) -> tuple[Trajectory, Growth | Trough | None]:
         began = perf_counter()
         instance: Any
         driven = request.inputs is not None and self.interface is Interface.CO_SIMULATION
@@ -245,6 +254,11 @@ class CompiledMaster:
             library.run_fmu(ctypes.byref(run))
         reject_failure(run, interrupts, request.stop)
         if deviations and not run.events:
+            recorded = [variable.name for variable in request.recorded]
+            if {*deviations.names} <= {*recorded}:
+                places = [recorded.index(name) for name in deviations.names]
+                inner = slice(1, run.rows - 1)
+                deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
             deviations.note(run.time)
             deviations.judge(run.steps)
         instance.terminate()
@@ -274,7 +288,7 @@ def _prepare_exchange(instance: Any, request: FmuRequest, run: Run) -> Vector:
             nominals.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), n
         )
     if request.closer:
-        nominals *= request.closer.absolute / run.relative_tolerance
+        nominals[:n] *= request.closer.shares
     return nominals
 
 

@@ -32,6 +32,7 @@ from cosim.host.progress import doing
 from cosim.model.growth import Growth
 from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
 from cosim.model.times import one_time
+from cosim.model.troughs import Trough
 
 _STEPS_OF_A_RUN = 50  # the least number of steps of a run by CVODE, as in fmpy
 
@@ -103,7 +104,7 @@ def _stopped_early(time: float, request: FmuRequest) -> FmuError:
 
 def _model_exchange(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
-) -> tuple[dict[str, Any], Growth | None]:
+) -> tuple[dict[str, Any], Growth | Trough | None]:
     """Integrate with CVODE from event to event and from output time to output time."""
     description, start = request.description, request.start
     time, *targets = request.points.tolist()
@@ -185,7 +186,7 @@ def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequ
         """Fill in the nominal values so that CVODE takes the absolute tolerance."""
         instance.getNominalsOfContinuousStates(values, count)
         if closer and clock.time < closer.until:
-            np.ctypeslib.as_array(values, (count,))[:] *= closer.absolute / relative
+            np.ctypeslib.as_array(values, (count,))[:] *= closer.shares
 
     return Cvode(
         interrupts,

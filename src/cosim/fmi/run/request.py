@@ -23,6 +23,7 @@ from cosim.model.driving import followed
 from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
 from cosim.model.times import one_time, reject_backward, time_grid
+from cosim.model.troughs import Trough
 from cosim.model.values import listed, number
 from cosim.trajectory import Column, Trajectory
 
@@ -44,7 +45,7 @@ class MasterRun(NamedTuple):
     times: Vector
     rows: Vector
     stats: dict[str, Any]
-    growth: Growth | None = None
+    growth: Growth | Trough | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,169 @@
+"""`deepest_trough`: a state that has shrunk below the error control of its run, and grows again.
+
+A concentration, a population or a deviation from a symmetric motion grows in proportion to itself:
+where it is 0, it stays 0. Below the absolute tolerance divided by the relative one, a solver
+controls fewer of its digits than requested, and all that it becomes later has no more of them: it
+may even change its sign, which the equations forbid. It needs a smaller absolute tolerance.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Integers, Truths, Vector
+from cosim.model.growth import Closer, StatePath
+from cosim.series.samples import ROUNDING_OF_OTHERS
+
+MOST_TRIALS = 6  # of a run, each with a smaller tolerance
+_EFFECT = 100  # least error that matters, in relative tolerances
+_FEW_LOOKS, _LOOKS = 3, 50  # rows of a motion at which a state may rest at 0
+_SPARE = 0.01  # of the least tolerance that controls all digits
+_DEEPER = 1e-12  # share of a tolerance that may resolve what is an error of the solver
+_LEAST_SHARE = 1e-270  # of an absolute tolerance
+
+
+class Trough(NamedTuple):
+    """Where states have lost digits.
+
+    Attributes:
+        state: Name of the state that needs the smallest tolerance.
+        time: When it is least, s.
+        size: Its size there, in nominal values.
+        shares: Share of the absolute tolerance that each state needs, (nx,).
+    """
+
+    state: str
+    time: float
+    size: float
+    shares: Vector
+
+    def closer(self, _relative: float = 0.0, _absolute: float = 0.0) -> Closer:
+        """Return the tolerances that control the digits, to the end of the run."""
+        return Closer(self.shares, np.inf)
+
+    def note(self, closer: Closer, absolute: float, followed: bool) -> str:
+        """Return what to say of a run; see `Growth.note`."""
+        own = f"absolute_tolerance {absolute * closer.shares.min():.2g}"
+        what = f"{self.state} shrinks to {self.size:.2g} nominal values at {self.time:.6g} s, and "
+        if followed:
+            return f"{what}grows again; ran with {own} for it, so that its digits are controlled"
+        return f"{what}grows again with few of its digits; give {own}"
+
+
+def deepest_trough(
+    path: StatePath,
+    tolerance: tuple[float, float],
+    shares: Vector,
+    *,
+    jumps: tuple[Vector, Truths] | None = None,
+    complete: bool = True,
+) -> Trough | None:
+    """Return where states have lost digits with which they grow again; None if none has.
+
+    Args:
+        path: Result of a solver with error control, with several rows in each of its steps.
+        tolerance: Relative and absolute tolerance, the latter in nominal values.
+        shares: Share of the absolute tolerance that each state had, (nx,).
+        jumps: Times, s, (m,), at which an event gave some states other values: which, (nx, m).
+        complete: Whether the solver has not failed; if it has, a state need not grow again.
+    """
+    relative, absolute = tolerance
+    if len(path.time) < 2 or not min(tolerance) > 0:
+        return None
+    levels = np.abs(path.states) / path.sizes[:, None]
+    # at first, half of the digits may be lost
+    least = absolute * shares / np.where(shares < 1, relative, np.sqrt(relative))
+    low = levels < least[:, None]
+    needed = shares.copy()
+    rests = _Rests(path)
+    worst: tuple[float, int, int, float] | None = None
+    for i, rows in _spans(low):
+        end = int(rows[-1]) + 1
+        begin, until = path.time[rows[0]], path.time[min(end, len(path.time) - 1)]
+        jumped = jumps is not None and jumps[1][i] & (begin <= jumps[0]) & (jumps[0] <= until)
+        is_left = complete and end < len(path.time)
+        if np.any(jumped) or not levels[i, rows].any():
+            continue
+        lost = _lost(rests, levels, low, i, rows)
+        grows = is_left or not complete
+        if lost is None or not (grows or _should_grow(path, i, int(rows[0]))):
+            continue
+        row, size, group = lost
+        # the error that it gets from there, in nominal values
+        peak = levels[group, end:].max() if is_left else np.inf
+        matters = relative * (1 if shares[i] < 1 else _EFFECT)
+        if absolute * shares[i] * peak <= matters * size:
+            continue
+        crossed = np.ptp(np.sign(path.states[i, rows])) > 0
+        share = _DEEPER * shares[i] if crossed else _SPARE * relative * size / absolute
+        needed[group] = np.fmax(np.fmin(needed[group], share), _LEAST_SHARE)
+        if needed[i] < shares[i] and (worst is None or share < worst[0]):
+            worst = share, i, row, size
+    if worst is None:
+        return None
+    return Trough(path.names[worst[1]], float(path.time[worst[2]]), worst[3], needed)
+
+
+def _spans(low: Truths) -> Iterator[tuple[int, Integers]]:
+    """Yield which state is low, and its rows, for each time that it is."""
+    for i in np.flatnonzero(low.any(axis=1)).tolist():
+        edges = np.flatnonzero(np.diff(low[i], prepend=False, append=False))
+        yield from ((i, np.arange(*pair)) for pair in edges.reshape(-1, 2))
+
+
+def _should_grow(path: StatePath, i: int, first: int) -> bool:
+    """Return whether a state that is low from a row on grows above it again by its own rate."""
+    rows = np.unique(np.linspace(first, len(path.time) - 1, 4 * _LOOKS).astype(int))
+    states, least = path.states[:, rows].copy(), path.states[i, first]
+    states[i] = least
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rates = path.rates(path.time[rows], states)[i] / least
+        growth = np.cumsum(np.diff(path.time[rows]) * (rates[1:] + rates[:-1]) / 2)
+    return bool(growth.max(initial=0) > 0)
+
+
+def _lost(
+    rests: "_Rests", levels: Vector, low: Truths, i: int, rows: Integers
+) -> tuple[int, float, Integers] | None:
+    """Return where a low state is least, its size there, and the states that share its fate."""
+    if len(alone := rests.of(np.array([i]))):
+        own = np.where(levels[i, rows] > 0, levels[i, rows], np.inf)
+        return int(rows[np.argmin(own)]), float(own.min()), alone
+    row = int(rows[np.argmin(np.max(levels[:, rows], axis=0, where=low[:, rows], initial=0))])
+    group = rests.of(np.flatnonzero(low[:, row]))
+    if i not in group:
+        return None
+    size = float(levels[group, row].max())
+    return (row, size, group) if size > ROUNDING_OF_OTHERS else None
+
+
+class _Rests:
+    """Which states of a path stay 0 where they are 0 together."""
+
+    def __init__(self, path: StatePath) -> None:
+        self._path, self._known = path, dict[bytes, Integers]()
+
+    def of(self, group: Integers) -> Integers:
+        """Return those states of a group that do."""
+        key = group.tobytes()
+        if key not in self._known:
+            for count in (_FEW_LOOKS, _LOOKS):  # most groups fail at the first rows
+                rows = np.unique(np.linspace(0, len(self._path.time) - 1, count).astype(int))
+                while len(group) and len(kept := self._kept(rows, group)) < len(group):
+                    group = kept
+            self._known[key] = group
+        return self._known[key]
+
+    def _kept(self, rows: Integers, group: Integers) -> Integers:
+        states = self._path.states[:, rows].copy()
+        states[group] = 0
+        rates = self._path.rates(self._path.time[rows], states)[group]
+        return np.asarray(group[(rates == 0).all(axis=1)])
+
+
+def any_rests(path: StatePath) -> bool:
+    """Return whether a state that changes stays 0 where it is 0."""
+    rests = _Rests(path)
+    changing = np.flatnonzero((path.states != path.states[:, :1]).any(axis=1))
+    return any(len(rests.of(changing[[k]])) for k in range(len(changing)))
