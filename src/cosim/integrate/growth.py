@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import at_irregular_place
 from cosim.arrays import Truths, Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED
@@ -73,10 +74,12 @@ def _with_digits(
 ) -> tuple[Motion, bool]:
     """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
     motion = run(None)
+    if not tolerance[1] or not _grows_from_itself(motion.dae):
+        return motion, False
     sizes = own_sizes(motion.dae, motion.states[:, 0])
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
     few = len(motion.time) < 2 * steps and not motion.reason
-    if not tolerance[1] or (few and not any_rests(_path(motion, sizes, p))):
+    if few and not any_rests(_path(motion, sizes, p)):
         return motion, False
     seen = look(None, steps) if few else motion
     shares = np.ones(len(sizes))
@@ -98,6 +101,33 @@ def _with_digits(
     if worst is None:
         return motion, False
     return _noted(motion, worst.note(worst.closer(), tolerance[1], trough is None)), True
+
+
+@cached_per_thread(64)
+def _grows_from_itself(dae: Dae) -> bool:
+    """Return whether some states stay 0 where they are 0 together, and let each other grow.
+
+    Populations and concentrations do; in a mechanical system, a state brings others back.
+    """
+    symbols = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
+    place = np.abs(np.array(at_irregular_place(symbols, symbols))).reshape(-1, 1)
+    x, t, z, u = np.split(place, np.cumsum([a.numel() for a in (dae.x, dae.t, dae.z)]))
+    p = np.array([parameter.start for parameter in dae.parameters], dtype=float)
+
+    def rates(states: Vector) -> Vector:
+        return np.array(equations(dae)(t, states, z, u, p)[0])
+
+    group = rates(x)[:, 0] != 0
+    while group.any():
+        alone = np.where(group[:, None], np.diag(group * x[:, 0]), x)
+        drives = np.where(np.eye(len(x), dtype=bool), 0, rates(alone))[:, group]
+        left = (
+            group & (rates(np.where(group[:, None], 0, x))[:, 0] == 0) & (drives >= 0).all(axis=1)
+        )
+        if (left == group).all():
+            return True
+        group = left
+    return False
 
 
 def _trough(
