@@ -63,7 +63,7 @@ static inline void plan_run(BlockRun *self, const Point *at) {
 
 /* Lets all happen that happens now; zero: relations of time that are due. Returns 0 where the run
  * goes on. */
-static inline int let_happen(BlockRun *self, const double *zero) {
+static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
     Watch *watch = &self->watch;
     double x[NX + 1], z[NZ + 1], u[NU + 1];
     const bool later[MODES + 1] = {0};
@@ -74,7 +74,7 @@ static inline int let_happen(BlockRun *self, const double *zero) {
     memcpy(x, self->x, sizeof x);
     memcpy(z, self->z, sizeof z);
     memcpy(u, self->u, sizeof u);
-    happen(&watch->laws, watch->switching, &at, self->x, -1, later, NULL, &found, &replan);
+    happen(&watch->laws, watch->switching, &at, self->x, crossing, later, NULL, &found, &replan);
     if (found.ending.reason != GOES_ON || is_sliding(watch->switching)) return 1;
     record_event(watch, &before, &at, zero, &found);
     if (replan) plan_run(self, &at);
@@ -90,7 +90,7 @@ static inline int begin_run(BlockRun *self) {
     if (begin_modes(laws, switching, &at, self->block->span).reason != GOES_ON ||
         begin_events(laws, switching, &at).reason != GOES_ON || is_sliding(switching))
         return 1;
-    if (EVENTS > 0) return let_happen(self, none);
+    if (EVENTS > 0) return let_happen(self, -1, none);
     plan_run(self, &at);
     write_present(self);
     return 0;
@@ -152,13 +152,17 @@ static inline int advance_run(BlockRun *self) {
     if (end == due) {
         const Switching *s = &self->switching;
         for (int i = 0; i < MODES; ++i) zero[i] = fabs(s->due[i] - s->next) <= 8 * ulp(s->next);
-        return let_happen(self, zero);
+        return let_happen(self, -1, zero);
     }
     const Point at = {self->t, self->x, self->z, self->u};
     Place place;
-    if (margins_at(&self->watch.laws, &self->switching, &at, &place) &&
-        leaving_at(&self->switching, &place) >= 0)
-        return let_happen(self, zero);
+    const int leaving = margins_at(&self->watch.laws, &self->switching, &at, &place)
+                            ? leaving_at(&self->switching, &place)
+                            : -1;
+    if (leaving >= 0) {
+        zero[leaving] = 1;
+        return let_happen(self, leaving, zero);
+    }
     write_present(self);
     return 0;
 }

@@ -22,7 +22,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
-from cosim.integrate.location import Piece, located, with_input_rates, with_slopes
+from cosim.integrate.location import Piece, located, located_at_end, with_input_rates, with_slopes
 from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
@@ -273,8 +273,8 @@ class _Course:
         if end in (due, jump, rest):
             following = self._with_inputs(arrived) if end in (jump, rest) else arrived
             self._switch(following, self._due_relations() if end == due else frozenset())
-        elif piece.leaves_at_end():
-            self._switch(self._with_inputs(arrived), frozenset())
+        elif last_event := located_at_end(piece):
+            self._switch(last_event.at, last_event.crossing, last_event.first)
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)

@@ -74,7 +74,7 @@ def _with_digits(
 ) -> tuple[Motion, bool]:
     """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
     motion = run(None)
-    if not tolerance[1] or not _grows_from_itself(motion.dae):
+    if not tolerance[1] or not grows_from_itself(motion.dae):
         return motion, False
     sizes = own_sizes(motion.dae, motion.states[:, 0])
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
@@ -104,7 +104,7 @@ def _with_digits(
 
 
 @cached_per_thread(64)
-def _grows_from_itself(dae: Dae) -> bool:
+def grows_from_itself(dae: Dae) -> bool:
     """Return whether some states stay 0 where they are 0 together, and let each other grow.
 
     Populations and concentrations do; in a mechanical system, a state brings others back.
@@ -117,17 +117,17 @@ def _grows_from_itself(dae: Dae) -> bool:
     def rates(states: Vector) -> Vector:
         return np.array(equations(dae)(t, states, z, u, p)[0])
 
-    group = rates(x)[:, 0] != 0
-    while group.any():
-        alone = np.where(group[:, None], np.diag(group * x[:, 0]), x)
-        drives = np.where(np.eye(len(x), dtype=bool), 0, rates(alone))[:, group]
-        left = (
-            group & (rates(np.where(group[:, None], 0, x))[:, 0] == 0) & (drives >= 0).all(axis=1)
-        )
-        if (left == group).all():
-            return True
-        group = left
-    return False
+    starts = np.array(dae.x_start)
+    sizes = np.fmax(own_sizes(dae, starts), np.abs(starts))[:, None]
+    grown = np.hstack([rates(scale * sizes * x) for scale in (1e-3, 1.0, 1e3)])
+    group, last = (grown != 0).any(axis=1), None
+    while (group != last).any():
+        last = group
+        others = np.where(group[:, None], 0, x)
+        drives = rates(others + np.diag(x[:, 0]))[:, group]
+        drives[np.eye(len(x), dtype=bool)[:, group]] = 0
+        group = group & (rates(others)[:, 0] == 0) & (drives >= 0).all(axis=1)
+    return bool((grown[group] > 0).any())
 
 
 def _trough(

@@ -215,15 +215,6 @@ class Piece:
             return np.ones(len(self.times) - 1, dtype=bool)
         return self.kernel.stay(self.rows(inside, 0, len(self.times)))
 
-    def leaves_at_end(self) -> bool:
-        """Return whether only rounding is between a relation and its boundary at the end."""
-        if self.kernel is None or not self.system.of_states:
-            return False
-        last = slice(-1, None)
-        inside, towards = self.margins(self.watched(self.times[last], self.x[last], self.z[last]))
-        found = self.kernel.leaving(self.times[last], inside + self.noise, towards)
-        return bool(found[0] >= 0)
-
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
         if self.kernel is not None and len(self.times) > 1:
@@ -354,6 +345,20 @@ def _unproven(piece: Piece, k: int, inside: Vector) -> Located | None:
     time, i = piece.kernel.search(piece.rows(inside, k, k + 2), piece.z[k])
     begin, end = piece.times[k : k + 2].tolist()
     return None if i < 0 else _refined(piece, k, (time - begin) / (end - begin), i)
+
+
+def located_at_end(piece: Piece) -> Located | None:
+    """Return the event that only rounding is between it and the end of a piece; None without one.
+
+    The motion must go on beyond the end as it is.
+    """
+    if piece.kernel is None or not piece.system.of_states:
+        return None
+    last = slice(-1, None)
+    seen = piece.watched(piece.times[last], piece.x[last], piece.z[last])
+    inside, towards = piece.margins(seen)
+    (i,) = piece.kernel.leaving(piece.times[last], inside + piece.noise, towards).tolist()
+    return None if i < 0 else _at_event(piece, float(piece.times[-1]), piece.x[-1], seen, i)
 
 
 def _crossed(piece: Piece) -> Located | None:
