@@ -57,6 +57,19 @@ def test_what_is_reached_at_an_output_time_happens_there(solver):
     assert [round(event.time, 12) for event in run.events if event.name == "three"] == [3.0]
 
 
+@pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
+def test_no_event_lies_beyond_the_row_it_belongs_to(solver):
+    model = cosim.Model("scaled", stop_time=STOP, output_interval=0.1)
+    x, n = model.state("x", "1", 0.0, "time"), model.discrete("n", "1", 0.0, "n")
+    z = model.algebraic("z", "1", 0.0, "a tenth")
+    model.derivative(x, 1.0)
+    model.equation(3 * z - 0.3 * x)
+    model.when(z >= 0.3, {n: n + 1}, name="at the end")
+    run = cosim.simulate(model.freeze(), solver=solver)
+    assert [event.time <= STOP for event in run.events] == [True]
+    assert run.final["n"] == 1
+
+
 def test_runs_of_a_block_do_as_single_ones():
     runs = cosim.simulate_many(clock(), {"x": [0.0, 0.0]}, solver="dop853", outputs=["whole", "n"])
     assert runs["n"][:, -1].tolist() == [1, 1]

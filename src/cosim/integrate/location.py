@@ -469,7 +469,7 @@ def _polished(
     for _ in range(6):
         g, rate = float(inside[0, i]), float(towards[0, i])
         new = at - g / rate if rate else np.nan
-        if new == at or not ends[0] < new <= 2 * t - ends[0]:
+        if new == at or not ends[0] < new <= min(2 * t - ends[0], piece.times[k + 1]):
             break
         on_cubic = cubics(ends, states, slopes, (new - ends[:1]) / (t - ends[0]))[0, 0]
         found = piece.watched(np.array([new]), on_cubic[None], z[None])
