@@ -124,8 +124,18 @@ def _instability(
     except (SolverError, UsageError):  # as where a part has steps of one length
         return _with_twice(given, again) if given.grow else None
     differ = half.exceed(quarter) or quarter.exceed(half)
-    differ |= (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter)
+    if (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter):
+        differ |= not _converge(given, half, quarter)
     return (quarter, 1 / 4) if differ else None
+
+
+def _converge(given: Ranges, half: Ranges, quarter: Ranges) -> bool:
+    """Whether inputs change less with each halving of the macro step, in the same direction."""
+    widths = [each.widths[1] for each in (given, half, quarter)]
+    first, then = np.diff(widths, axis=0)
+    settled = np.abs(then) <= _CLOSE * (half.sizes + np.minimum(*widths[1:]))
+    less = (np.sign(first) == np.sign(then)) & (np.abs(then) < np.abs(first))
+    return bool((settled | less).all())
 
 
 def _with_twice(
