@@ -148,7 +148,7 @@ def write(
     rows = ",\n".join(
         f'    {{"{r.name}", {r.role}, {r.kind}, '
         + ", ".join(map(_number, (r.start, r.nominal, r.minimum, r.maximum, r.start)))
-        + f", {str(r.tunable).lower()}}}"
+        + f", {str(r.tunable).lower()}, false}}"
         for r in table
     )
     (folder / "equations.c").write_text(f'#include "generated.h"\n{code}')

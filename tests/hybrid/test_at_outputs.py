@@ -126,3 +126,17 @@ def test_what_an_importer_sets_at_a_communication_point_decides(after, beyond):
     slave.terminate()
     slave.freeInstance()
     assert found == pytest.approx([beyond], abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_the_derivative_of_an_event_at_the_last_instant_counts_its_time(solver):
+    """x' = p, halved at 3: x(3) = 1.5 + p (3 - 3 / p) from p = 1 on."""
+    model = cosim.Model("halved", stop_time=STOP, output_interval=1.0)
+    p, x = model.parameter("p", "1/s", 1.0, "rate"), model.state("x", "1", 0.0, "way")
+    model.derivative(x, p)
+    model.when(x >= 3, {x: 0.5 * x}, name="half")
+    of_p = ca.MX.sym("p")
+    run = cosim.integrator(model.freeze(), np.linspace(0, STOP, 4), solver=solver)
+    last = run(x0=ca.DM([0.0]), p=of_p)["xf"][0, -1]
+    found = ca.Function("found", [of_p], [last, ca.jacobian(last, of_p)])(1.0)
+    assert [float(value) for value in found] == pytest.approx([1.5, 3.0], abs=1e-9)

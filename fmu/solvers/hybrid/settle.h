@@ -275,7 +275,8 @@ static inline void note_jumps(Switching *s, const Seen *before, const Seen *now,
     for (int i = 0; i < MODES; i++) {
         const double size = fabs(before->arguments[i]) + fabs(now->arguments[i]);
         const double way = fabs(now->arguments[i] - before->arguments[i]);
-        if (s->state[i] == SLIDES || !(way > s->slack[i] + ROUNDING * size)) continue;
+        /* what is 0 but for rounding may change its side, as |x| does with the sign of x */
+        if (s->state[i] == SLIDES || !(way > 4 * s->slack[i] + ROUNDING * size)) continue;
         zero[i] = false;
         s->state[i] = FREE;
         s->beyond[i] = 0;

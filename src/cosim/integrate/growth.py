@@ -74,7 +74,7 @@ def _with_digits(
 ) -> tuple[Motion, bool]:
     """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
     motion = run(None)
-    if not tolerance[1] or not grows_from_itself(motion.dae):
+    if not tolerance[1] or not may_grow_again(motion.dae):
         return motion, False
     sizes = own_sizes(motion.dae, motion.states[:, 0])
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
@@ -104,10 +104,11 @@ def _with_digits(
 
 
 @cached_per_thread(64)
-def grows_from_itself(dae: Dae) -> bool:
-    """Return whether some states stay 0 where they are 0 together, and let each other grow.
+def may_grow_again(dae: Dae) -> bool:
+    """Return whether states that stay 0 where they are 0 together may shrink and grow again.
 
-    Populations and concentrations do; in a mechanical system, a state brings others back.
+    Each of them lets the others grow. Populations and concentrations are such states; in a
+    mechanical system, a state brings others back.
     """
     symbols = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     place = np.abs(np.array(at_irregular_place(symbols, symbols))).reshape(-1, 1)
@@ -127,7 +128,8 @@ def grows_from_itself(dae: Dae) -> bool:
         drives = rates(others + np.diag(x[:, 0]))[:, group]
         drives[np.eye(len(x), dtype=bool)[:, group]] = 0
         group = group & (rates(others)[:, 0] == 0) & (drives >= 0).all(axis=1)
-    return bool((grown[group] > 0).any())
+    both_ways = (grown > 0).any(axis=1) & (grown < 0).any(axis=1)
+    return bool(both_ways[group].any())
 
 
 def _trough(

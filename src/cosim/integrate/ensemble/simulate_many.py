@@ -28,7 +28,7 @@ from cosim.integrate.ensemble.ensemble import Ensemble, LazyRuns, Row, RunState
 from cosim.integrate.ensemble.event_blocks import EventBlocks, event_blocks
 from cosim.integrate.ensemble.lanes import in_lanes, processors
 from cosim.integrate.families.explicit import Dop853, NonStiffDop853
-from cosim.integrate.growth import grows_from_itself
+from cosim.integrate.growth import may_grow_again
 from cosim.integrate.keywords import SharedKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
@@ -185,7 +185,7 @@ def explicit_solver(request: RunRequest) -> Dop853 | None:
     dae, solver = request.dae, request.solver
     if not dae.states or request.policy.compiled is False or not has_compiler():
         return None
-    if hybrid(dae) is None and grows_from_itself(dae):
+    if may_grow_again(dae):
         return None  # a run that has lost digits is repeated
     if isinstance(solver, Dop853):
         return solver
