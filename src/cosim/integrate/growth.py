@@ -128,8 +128,8 @@ def may_grow_again(dae: Dae) -> bool:
         drives = rates(others + np.diag(x[:, 0]))[:, group]
         drives[np.eye(len(x), dtype=bool)[:, group]] = 0
         group = group & (rates(others)[:, 0] == 0) & (drives >= 0).all(axis=1)
-    both_ways = (grown > 0).any(axis=1) & (grown < 0).any(axis=1)
-    return bool(both_ways[group].any())
+    grows, shrinks = np.any(grown > 0, axis=1), np.any(grown < 0, axis=1)
+    return bool(np.any(group & grows & shrinks))
 
 
 def _trough(
