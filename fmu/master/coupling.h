@@ -105,11 +105,14 @@ static inline int let_happen(Coupling *self) {
     return settle(self, &self->now);
 }
 
-/* What happens at the present point, if a part waits for it. */
+/* What happens at the present point, if a part waits for it; at the last one, no step follows that
+ * would find it. */
 static inline int pass_events(Coupling *self) {
     System *system = self->system;
+    const int last = same_time(system, self->now.t, system->stop);
     int any = 0;
-    for (long long p = 0; p < system->n_parts; ++p) any |= system->parts[p].waits != 0;
+    for (long long p = 0; p < system->n_parts; ++p)
+        any |= system->parts[p].waits || (last && system->parts[p].event_mode);
     if (!any) return DONE;
     for (long long p = 0; p < system->n_parts; ++p)
         if (system->parts[p].event_mode && part_enter_event_mode(&self->fmu, system->parts + p))
