@@ -93,7 +93,7 @@ def reject_instability(
     shorter = "give a shorter macro_step"
     if factor > 1:
         shorter = "give a much shorter macro_step, if the parts allow it"
-    elif other and not other.grow:
+    elif other and _is_stable(other, lambda: again(factor * step / 2)):
         shorter = f"give at most {factor * step:g} s"
     why = (
         f"the macro step {step:g} s is too long for {method}: the input {inputs[place]} moves by "
@@ -101,6 +101,14 @@ def reject_instability(
         "accuracy with the method iterated"
     )
     raise SolverError(f"{run.model}: {why}", replace(run, status=f"stopped: {why}"))
+
+
+def _is_stable(ranges: Ranges, shorter: Callable[[], Ranges]) -> bool:
+    """Return whether inputs neither grow, nor move far more than with a shorter macro step."""
+    try:
+        return not ranges.grow and not ranges.exceed(shorter())
+    except (SolverError, UsageError):
+        return False
 
 
 def _instability(
