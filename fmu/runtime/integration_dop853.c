@@ -52,8 +52,8 @@ static double problem_scale(const void *problem, int i, double x) {
     const VariableInfo *state = &variables[FIRST_STATE + i];
     const double absolute = ABSOLUTE * state->nominal, size = fabs(x);
     /* what grows from a small value in proportion to it needs the digits of that */
-    const bool is_low = state->rests_at_zero && size < absolute * sqrt(self->tolerance);
-    return self->tolerance * (is_low ? size + DBL_MIN / DBL_EPSILON : absolute + size);
+    const bool low = state->rests_at_zero && size > 0 && size < absolute * sqrt(self->tolerance);
+    return self->tolerance * (low ? size + DBL_MIN / DBL_EPSILON : absolute + size);
 }
 
 #if HAS_RANK

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.expressions import at_irregular_place
+from casadi_models.dae.hybrid import hybrid
 from casadi_models.units import UNITS, Unit
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
@@ -121,15 +122,19 @@ def _variables(
 
 
 def _resting(dae: Dae) -> list[bool]:
-    """Return whether each state stays 0 where it is 0, as its derivative at two places tells."""
+    """Return whether each state stays 0 where it is 0, as its derivative at two places tells.
+
+    Branches may take another way at other places: models with relations have no such states.
+    """
     symbols = ca.vertcat(dae.x, *dae.arguments[:1], *dae.arguments[2:])
     n = len(dae.states)
-    found = np.full(n, True)
+    found = np.full(n, hybrid(dae) is None)
     for power in (1, 2):
         place = np.array(at_irregular_place(symbols**power, symbols)).reshape(-1, 1)
-        x = np.where(np.eye(n, dtype=bool), 0, place[:n])
         t, z, u, p = np.split(place[n:], np.cumsum([a.numel() for a in (dae.t, dae.z, dae.u)]))
-        found &= np.diag(np.array(equations(dae)(t, x, z, u, p)[0])) == 0
+        x = np.hstack((np.where(np.eye(n, dtype=bool), 0, place[:n]), place[:n]))
+        rates = np.array(equations(dae)(t, x, z, u, p)[0])
+        found &= (np.diag(rates) == 0) & (rates[:, n] != 0)
     return [bool(rests) for rests in found]
 
 
