@@ -24,7 +24,7 @@ from cosim.model.growth import (
     suppressed_growth,
 )
 from cosim.model.solver import AdaptiveSolver
-from cosim.model.troughs import MOST_TRIALS, Trough, any_rests, deepest_trough
+from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough
 from cosim.model.values import own_sizes
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
@@ -79,8 +79,6 @@ def _with_digits(
     sizes = own_sizes(motion.dae, motion.states[:, 0])
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
     few = len(motion.time) < 2 * steps and not motion.reason
-    if few and not any_rests(_path(motion, sizes, p)):
-        return motion, False
     seen = look(None, steps) if few else motion
     shares = np.ones(len(sizes))
     first: Trough | None = None

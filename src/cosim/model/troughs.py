@@ -160,10 +160,3 @@ class _Rests:
         states[group] = 0
         rates = self._path.rates(self._path.time[rows], states)[group]
         return np.asarray(group[(rates == 0).all(axis=1)])
-
-
-def any_rests(path: StatePath) -> bool:
-    """Return whether a state that changes stays 0 where it is 0."""
-    rests = _Rests(path)
-    changing = np.flatnonzero((path.states != path.states[:, :1]).any(axis=1))
-    return any(len(rests.of(changing[[k]])) for k in range(len(changing)))
