@@ -483,20 +483,3 @@ def test_the_order_of_parts_with_events_changes_no_bit(settings):
     assert first.events == second.events
     for name in first.names:
         np.testing.assert_array_equal(first[name], second[name])
-
-
-@pytest.mark.parametrize(
-    "steps",
-    [{"accuracy": 1e-6}, *({"method": m, "macro_step": 0.25} for m in ("iterated", "jacobi"))],
-)
-def test_what_a_coupled_input_reaches_at_the_last_instant_happens(steps):
-    clock, counter = part("clock"), part("counter")
-    x, u = clock.state("x", "1", 0.0, "time"), counter.input("u", "1", 0.0, "time")
-    clock.derivative(x, 1.0)
-    clock.output("y", "1", 1 * x, "time")
-    n = counter.discrete("n", "1", 0.0, "count")
-    counter.when(u >= STOP, {n: n + 1}, name="end")
-    parts = {"clock": clock.freeze(), "counter": counter.freeze()}
-    run = cosim.couple(parts, {"counter.u": "clock.y"}).simulate(**steps)
-    assert run.final["counter.n"] == 1
-    assert [(event.time, event.name) for event in run.events] == [(STOP, "counter: end")]

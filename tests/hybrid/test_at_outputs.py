@@ -140,3 +140,20 @@ def test_the_derivative_of_an_event_at_the_last_instant_counts_its_time(solver):
     last = run(x0=ca.DM([0.0]), p=of_p)["xf"][0, -1]
     found = ca.Function("found", [of_p], [last, ca.jacobian(last, of_p)])(1.0)
     assert [float(value) for value in found] == pytest.approx([1.5, 3.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [{"accuracy": 1e-6}, *({"method": m, "macro_step": 0.25} for m in ("iterated", "jacobi"))],
+)
+def test_what_a_coupled_input_reaches_at_the_last_instant_happens(steps):
+    clock, counter = (cosim.Model(name, stop_time=STOP) for name in ("clock", "counter"))
+    x, u = clock.state("x", "1", 0.0, "time"), counter.input("u", "1", 0.0, "time")
+    clock.derivative(x, 1.0)
+    clock.output("y", "1", 1 * x, "time")
+    n = counter.discrete("n", "1", 0.0, "count")
+    counter.when(u >= STOP, {n: n + 1}, name="end")
+    parts = {"clock": clock.freeze(), "counter": counter.freeze()}
+    run = cosim.couple(parts, {"counter.u": "clock.y"}).simulate(**steps)
+    assert run.final["counter.n"] == 1
+    assert [(event.time, event.name) for event in run.events] == [(STOP, "counter: end")]

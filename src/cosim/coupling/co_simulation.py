@@ -184,7 +184,8 @@ class CoSimulation:
 
             def given(step: float) -> tuple[Trajectory, Ranges]:
                 own = replace(task, settings=replace(settings, macro_step=step))
-                return self._once(own, OF_A_RUN * of_parts, of_parts)[::2]
+                run, _, ranges = self._once(own, OF_A_RUN * of_parts, of_parts)
+                return run, ranges
 
             step = settings.macro_step
             run, ranges = (self._accurate(task), None) if step is None else given(step)
