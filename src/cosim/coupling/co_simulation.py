@@ -182,17 +182,16 @@ class CoSimulation:
             task = _Task(settings, values, self._columns(outputs), called)
             of_parts = settings.tolerance or _TOLERANCE
 
-            def given(step: float) -> tuple[Trajectory, Ranges]:
+            def given(step: float) -> tuple[Trajectory, Truths, Ranges]:
                 own = replace(task, settings=replace(settings, macro_step=step))
-                run, _, ranges = self._once(own, OF_A_RUN * of_parts, of_parts)
-                return run, ranges
+                return self._once(own, OF_A_RUN * of_parts, of_parts)
 
             step = settings.macro_step
-            run, ranges = (self._accurate(task), None) if step is None else given(step)
+            run, _, ranges = (self._accurate(task), None, None) if step is None else given(step)
             run = replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
             if ranges:
                 inputs = [".".join(name) for name in self._inputs]
-                reject_instability(run, ranges, inputs, lambda step: given(step)[1])
+                reject_instability(run, ranges, inputs, lambda shorter: given(shorter)[2])
         return run
 
     def _accurate(self, task: _Task) -> Trajectory:
