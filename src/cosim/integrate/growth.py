@@ -24,7 +24,7 @@ from cosim.model.growth import (
     suppressed_growth,
 )
 from cosim.model.solver import AdaptiveSolver
-from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough
+from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
 from cosim.model.values import own_sizes
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
@@ -122,10 +122,11 @@ def may_grow_again(dae: Dae) -> bool:
     group, last = (grown != 0).any(axis=1), None
     while (group != last).any():
         last = group
+        group = resting(rates, x, last)
         others = np.where(group[:, None], 0, x)
         drives = rates(others + np.diag(x[:, 0]))[:, group]
         drives[np.eye(len(x), dtype=bool)[:, group]] = 0
-        group = group & (rates(others)[:, 0] == 0) & (drives >= 0).all(axis=1)
+        group = group & (drives >= 0).all(axis=1)
     grows, shrinks = np.any(grown > 0, axis=1), np.any(grown < 0, axis=1)
     return bool(np.any(group & grows & shrinks))
 

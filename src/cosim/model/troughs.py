@@ -6,7 +6,8 @@ controls fewer of its digits than requested, and all that it becomes later has n
 may even change its sign, which the equations forbid. It needs a smaller absolute tolerance.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -125,38 +126,48 @@ def _should_grow(path: StatePath, i: int, first: int) -> bool:
 
 def _lost(
     rests: "_Rests", levels: Vector, low: Truths, i: int, rows: Integers
-) -> tuple[int, float, Integers] | None:
-    """Return where a low state is least, its size there, and the states that share its fate."""
-    if len(alone := rests.of(np.array([i]))):
+) -> tuple[int, float, Truths] | None:
+    """Return where a low state is least, its size there, and which states share its fate, (nx,)."""
+    alone = np.arange(len(levels)) == i
+    if rests.of(alone)[i]:
         own = np.where(levels[i, rows] > 0, levels[i, rows], np.inf)
         return int(rows[np.argmin(own)]), float(own.min()), alone
     row = int(rows[np.argmin(np.max(levels[:, rows], axis=0, where=low[:, rows], initial=0))])
-    group = rests.of(np.flatnonzero(low[:, row]))
-    if i not in group:
+    group = rests.of(low[:, row])
+    if not group[i]:
         return None
     size = float(levels[group, row].max())
     return (row, size, group) if size > ROUNDING_OF_OTHERS else None
+
+
+def resting(rates: Callable[[Vector], Vector], states: Vector, group: Truths) -> Truths:
+    """Return which states of a group stay 0 where they are 0 together, (nx,).
+
+    Args:
+        rates: Rates of all states at some places, (nx, places), from the states there.
+        states: States at these places, (nx, places).
+        group: Which states belong to the group, (nx,).
+    """
+    last = np.zeros_like(group)
+    while (group != last).any():
+        last = group
+        group = last & (rates(np.where(last[:, None], 0, states)) == 0).all(axis=1)
+    return group
 
 
 class _Rests:
     """Which states of a path stay 0 where they are 0 together."""
 
     def __init__(self, path: StatePath) -> None:
-        self._path, self._known = path, dict[bytes, Integers]()
+        self._path, self._known = path, dict[bytes, Truths]()
 
-    def of(self, group: Integers) -> Integers:
-        """Return those states of a group that do."""
+    def of(self, group: Truths) -> Truths:
+        """Return which states of a group do."""
         key = group.tobytes()
         if key not in self._known:
             for count in (_FEW_LOOKS, _LOOKS):  # most groups fail at the first rows
                 rows = np.unique(np.linspace(0, len(self._path.time) - 1, count).astype(int))
-                while len(group) and len(kept := self._kept(rows, group)) < len(group):
-                    group = kept
+                rates = partial(self._path.rates, self._path.time[rows])
+                group = resting(rates, self._path.states[:, rows], group)
             self._known[key] = group
         return self._known[key]
-
-    def _kept(self, rows: Integers, group: Integers) -> Integers:
-        states = self._path.states[:, rows].copy()
-        states[group] = 0
-        rates = self._path.rates(self._path.time[rows], states)[group]
-        return np.asarray(group[(rates == 0).all(axis=1)])

@@ -14,9 +14,11 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.expressions import at_irregular_place
 from casadi_models.dae.hybrid import hybrid
 from casadi_models.units import UNITS, Unit
+from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
 from cosim.errors import UsageError
+from cosim.model.troughs import resting
 from cosim.model.values import own_sizes
 
 VALID = "valid"
@@ -126,16 +128,19 @@ def _resting(dae: Dae) -> list[bool]:
 
     Branches may take another way at other places: models with relations have no such states.
     """
+    if hybrid(dae) is not None:
+        return [False] * len(dae.states)
     symbols = ca.vertcat(dae.x, *dae.arguments[:1], *dae.arguments[2:])
-    n = len(dae.states)
-    found = np.full(n, hybrid(dae) is None)
-    for power in (1, 2):
-        place = np.array(at_irregular_place(symbols**power, symbols)).reshape(-1, 1)
-        t, z, u, p = np.split(place[n:], np.cumsum([a.numel() for a in (dae.t, dae.z, dae.u)]))
-        x = np.hstack((np.where(np.eye(n, dtype=bool), 0, place[:n]), place[:n]))
-        rates = np.array(equations(dae)(t, x, z, u, p)[0])
-        found &= (np.diag(rates) == 0) & (rates[:, n] != 0)
-    return [bool(rests) for rests in found]
+    places = np.array(at_irregular_place(ca.horzcat(symbols, symbols**2), symbols))
+    sizes = [a.numel() for a in (dae.x, dae.t, dae.z, dae.u)]
+    x, t, z, u, p = np.split(places, np.cumsum(sizes))
+
+    def rates(states: Vector) -> Vector:
+        return np.array(equations(dae)(t, states, z, u, p)[0])
+
+    moves = (rates(x) != 0).all(axis=1)
+    alone = np.eye(len(x), dtype=bool) & moves
+    return [bool(resting(rates, x, group).any()) for group in alone]
 
 
 def _settled(dae: Dae) -> list[float | None]:
