@@ -23,8 +23,6 @@ from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
 from casadi_models.dae.variables import Variable
 
-_MOST_OPERATIONS = 500  # of an argument whose bounds over a part of a step tell something
-
 
 @dataclass(frozen=True, eq=False)
 class Hybrid:
@@ -115,23 +113,11 @@ class Hybrid:
     def enclosures(self) -> Enclosures:
         """Bounds of the other arguments over a part of a step.
 
-        Left out are those that are linear, which move as steadily as the states, that depend on
-        algebraic unknowns, or whose bounds would be wide and dear.
+        Those that are linear are left out: they move as steadily as the states.
         """
         moving = ca.vertcat(self.dae.t, self.dae.x, self.dae.u)
         bent = ca.which_depends(self.arguments, moving, 2, True) if self.relations else []
-
-        def is_short(argument: SX) -> bool:
-            given = ca.symvar(argument)
-            return ca.Function("f", given, [argument]).n_instructions() <= _MOST_OPERATIONS
-
-        chosen = {
-            i: self.relations[i].argument
-            for i in self.of_states
-            if bent[i]
-            and not ca.depends_on(self.relations[i].argument, self.dae.z)
-            and is_short(self.relations[i].argument)
-        }
+        chosen = {i: self.relations[i].argument for i in self.of_states if bent[i]}
         return enclosures(self.dae, chosen, len(self.relations))
 
     @cached_property

@@ -16,6 +16,8 @@ from casadi_models.dae.expressions import column
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
+_MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
+
 
 class _Span(NamedTuple):
     """Least and greatest value of an expression; both are the value of one that stays."""
@@ -92,9 +94,11 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
 def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosures:
     """Return the bounds of expressions of time, states and inputs, by position.
 
+    Left out are those that depend on algebraic unknowns, or whose bounds would be wide and dear.
+
     Args:
         dae: Frozen equations.
-        expressions: Arguments of relations by their positions.
+        expressions: Arguments of relations, or margins of limits, by their positions.
         modes: How many of the last inputs are modes, which stay.
     """
     inputs = ca.vertsplit(dae.u)
@@ -108,6 +112,8 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     ends = ca.vertcat(dae.t + length, high, fastest)
     known, found = list[int](), list[_Span]()
     for i, value in expressions.items():
+        if ca.depends_on(value, dae.z) or not _is_short(value):
+            continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
         rows, given = ca.vertcat(value, rate), ca.vertcat(dae.t, moving, rates)
         spans = _spans(
@@ -122,6 +128,15 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     bounds = (ca.densify(column(end)) for end in zip(*[s[:2] for s in found], strict=True))
     least, most = bounds if found else (SX(0, 1), SX(0, 1))
     return Enclosures((length, low, high, slowest, fastest), tuple(known), least, most)
+
+
+def limit_enclosures(dae: Dae, modes: int = 0) -> Enclosures:
+    """Return the bounds of the margins of a model's limits; see `enclosures`."""
+    return enclosures(dae, dict(enumerate(margin for margin, _ in dae.limits)), modes)
+
+
+def _is_short(value: SX) -> bool:
+    return ca.Function("f", ca.symvar(value), [value]).n_instructions() <= _MOST_OPERATIONS
 
 
 def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:

@@ -11,6 +11,13 @@
 #if ENCLOSED > 0
 #include "between_looks.h"
 #endif
+#if BOUNDED_LIMITS > 0
+#include "glance.h"
+#else
+#define look_at_limits_here(self) ((void)(self))
+#define look_at_gap(self) ((void)(self))
+#define begin_looks_at_limits(self) ((void)(self))
+#endif
 
 /* What must be fresh before a variable of a role is read. */
 static const unsigned needed_by[] = {
@@ -208,6 +215,7 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
         if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
+    if (self->state.mode == CONTINUOUS_TIME_MODE) look_at_limits_here(self);
 #if ENCLOSED > 0
     const Status known = get_insides(self, values + N_LIMITS);
     return known == OK ? look_between(self, values + N_LIMITS) : known;
@@ -222,6 +230,16 @@ static Status enter_continuous_time(Instance *self) {
     forget_looks(self);
 #endif
     begin_watching(self);
+    begin_looks_at_limits(self);
+    return OK;
+}
+
+/* The end of a step of an importer of model exchange. */
+static Status complete_integrator_step(Instance *self) {
+    const Status status = look_back(self, ERROR);
+    if (status != OK) return status;
+    look_at_limits_here(self);
+    look_at_gap(self);
     return OK;
 }
 

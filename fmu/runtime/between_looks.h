@@ -14,19 +14,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "cubic.h"
-#include "evaluation.h"
-
-/* Inputs move on straight lines. */
-static void between_looks(void *instance, double t, double x[], double z[], double u[]) {
-    const Instance *self = instance;
-    const Glance *a = &self->state.looks.before, *b = &self->state.looks.last;
-    const double h = b->time - a->time, s = (t - a->time) / h;
-    double rate;
-    for (int i = 0; i < NX; i++) x[i] = on_cubic(a->x[i], b->x[i], a->dx[i], b->dx[i], h, s, &rate);
-    for (int i = 0; i < NU; i++) u[i] = a->u[i] + s * (b->u[i] - a->u[i]);
-    memcpy(z, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof *z);
-}
+#include "glance.h"
 
 static void warn_of_passing(Instance *self) {
     Looks *looks = &self->state.looks;
@@ -60,10 +48,7 @@ static void note_look(Instance *self) {
         looks->count = 1;
     }
     looks->relation = 0;
-    looks->last.time = values[TIME];
-    memcpy(looks->last.x, values + FIRST_STATE, NX * sizeof *values);
-    memcpy(looks->last.dx, values + FIRST_DERIVATIVE, NX * sizeof *values);
-    memcpy(looks->last.u, values + FIRST_INPUT, NU * sizeof *values);
+    take_glance(self, &looks->last);
 }
 
 /* Whether bounds prove that no relation has left its mode between the last two looks. */
@@ -101,7 +86,8 @@ static Status look_between(Instance *self, double insides[]) {
         places[i] = k++;
     }
     if (!all || looks->count < 2 || stays_between_looks(self)) return OK;
-    const Motion motion = {self, between_looks, NULL};
+    Gap gap = {self, &looks->before, &looks->last};
+    const Motion motion = {&gap, within_gap, NULL};
     const double now = looks->last.time;
     Place place;
     const int i = left_between(self, &motion, looks->before.time, now, &place);

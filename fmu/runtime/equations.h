@@ -40,11 +40,14 @@
    length; they are not finite where there are none. model_enclosure gives, for each of those that
    are `enclosed`, bounds of the argument and of its rate over a length from t on, while states and
    inputs and their rates are within spans. model_conditions gives the conditions of the
-   events, the values that they assign, and the largest violation of an invariant.
+   events, the values that they assign, and the largest violation of an invariant. model_limits
+   and model_limit_rates give such bounds of the margins of `bounded_limits`, the former the lower
+   ones, and of their rates.
 
    The functions of rank are there where model.h has HAS_RANK 1, model_adjoint where it has
    HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0, the functions of events where HAS_EVENTS
-   is 1, model_bounds where BOUNDED and model_enclosure where ENCLOSED is positive. */
+   is 1, model_bounds where BOUNDED, model_enclosure where ENCLOSED and those of limits
+   where BOUNDED_LIMITS is positive. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -59,7 +62,7 @@ static Equation model_algebraic, model_ode, model_outputs;
 static Equation model_directional, model_adjoint, model_jacobian, model_step;
 static Equation model_rank, model_rank_rate, model_project;
 static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
-static Equation model_enclosure;
+static Equation model_enclosure, model_limits, model_limit_rates;
 
 static WorkSize model_start_work, model_start_directional_work;
 static WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
@@ -67,5 +70,6 @@ static WorkSize model_directional_work, model_adjoint_work, model_jacobian_work,
 static WorkSize model_rank_work, model_rank_rate_work, model_project_work;
 static WorkSize model_relations_work, model_rounding_work, model_timed_work;
 static WorkSize model_conditions_work, model_bounds_work, model_enclosure_work;
+static WorkSize model_limits_work, model_limit_rates_work;
 
 #endif

@@ -41,7 +41,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c,
     if (!enterEventMode || !terminateSimulation)
         return fmi2_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi2False;
-    return fmi2_status(look_back(self, ERROR));
+    return fmi2_status(complete_integrator_step(self));
 }
 
 /* -- time and states -------------------------------------------------------------------------- */

@@ -59,7 +59,7 @@ fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance,
     if (!enterEventMode || !terminateSimulation)
         return fmi3_status(refuse(self, ERROR, "there is no room for the results"));
     *enterEventMode = *terminateSimulation = fmi3False;
-    return fmi3_status(look_back(self, ERROR));
+    return fmi3_status(complete_integrator_step(self));
 }
 
 /* -- time and states -------------------------------------------------------------------------- */

@@ -38,6 +38,9 @@ static WorkSize *const work_sizes[] = {
 #if ENCLOSED > 0
     model_enclosure_work,
 #endif
+#if BOUNDED_LIMITS > 0
+    model_limits_work,      model_limit_rates_work,
+#endif
 };
 
 typedef struct {

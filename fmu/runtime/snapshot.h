@@ -14,7 +14,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 10 };
+enum { LAYOUT_VERSION = 11 };
 
 typedef struct {
     uint64_t magic;
@@ -101,6 +101,9 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(left >= 0 && left <= MODES && left == floor(left))) return false;
 #endif
     if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
+#endif
+#if BOUNDED_LIMITS > 0
+    if (!all_finite((const double *)&state->at_limits, 2 * GLANCE_SIZE)) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

@@ -83,14 +83,18 @@ typedef struct {
 enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
 #endif
 
-#if ENCLOSED > 0
-/* The instance at a look of an importer of model exchange at the event indicators. */
+#if ENCLOSED > 0 || BOUNDED_LIMITS > 0
+/* The instance at a point of an importer of model exchange. */
 typedef struct {
-    double time, x[ROOM(NX)], dx[ROOM(NX)], u[ROOM(NU)];
-    double inside[MODES]; /* by how much relations are within their modes */
+    double known, time, x[ROOM(NX)], dx[ROOM(NX)], u[ROOM(NU)];
+    double inside[ROOM(MODES)]; /* at looks: by how much relations are within their modes */
 } Glance;
 
-/* The last two looks since the last event; all of it doubles. */
+enum { GLANCE_SIZE = sizeof(Glance) / sizeof(double) };
+#endif
+
+#if ENCLOSED > 0
+/* The last two looks at the event indicators since the last event; all of it doubles. */
 typedef struct {
     double count; /* how many of them there are */
     Glance last, before;
@@ -118,6 +122,9 @@ typedef struct {
 #endif
 #if ENCLOSED > 0
     Looks looks;
+#endif
+#if BOUNDED_LIMITS > 0
+    Glance at_limits, before_limits; /* the last two points of model exchange */
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double stop_time;              /* infinite where none was given */

@@ -25,6 +25,9 @@
 #if !defined N_PULSES
 #define N_PULSES 0
 #endif
+#if !defined BOUNDED_LIMITS
+#define BOUNDED_LIMITS 0 /* whose margins have bounds */
+#endif
 #if HAS_EVENTS
 #include "laws.h"
 #endif

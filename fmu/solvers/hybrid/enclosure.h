@@ -1,69 +1,25 @@
-/* What bounds tell of relations over a part of a step. States and inputs are polynomials there:
- * they stay between their Bernstein coefficients, and so do their rates. From these spans, the laws
+/* What bounds tell of relations over a part of a step: from spans of states and inputs, the laws
  * know spans of the arguments of relations and of their rates, by interval arithmetic.
- *
- * Source  Farouki, The Bernstein polynomial basis, Computer Aided Geometric Design 29, 2012.
  */
 #ifndef HYBRID_ENCLOSURE_H
 #define HYBRID_ENCLOSURE_H
 
+#include "bounds.h"
 #include "switching.h"
-
-/* Between which values what is positive within a mode, and its rate, stay over a span of time. */
-typedef struct {
-    double low, slowest, fastest;
-} Spanned;
-
-/* Whether it is positive between two times at which it is not negative. Unless its least value is,
- * it may not turn, or not come down to 0 and back as fast as its rate allows. */
-static inline bool stays_positive(const Spanned *span, double a, double b, double length) {
-    if (span->low >= 0) return true;
-    if (!isfinite(span->slowest) || !isfinite(span->fastest)) return false;
-    return span->slowest >= 0 || span->fastest <= 0 ||
-           span->fastest * a - span->slowest * b + span->slowest * span->fastest * length > 0;
-}
 
 #if ENCLOSED > 0
 
-enum { NODES = 8 }; /* as many as determine a polynomial of degree 7, that of dop853.h */
-
 typedef double Sample[NX + NU]; /* states and inputs at a time */
 
-/* Bernstein coefficients from the values at equidistant nodes; the other half is symmetric. */
-static const double COEFFICIENTS[NODES / 2][NODES] = {
-    {1},
-    {-223.0 / 140, 7, -21.0 / 2, 35.0 / 3, -35.0 / 4, 21.0 / 5, -7.0 / 6, 1.0 / 7},
-    {7159.0 / 3780, -721.0 / 60, 1211.0 / 40, -4123.0 / 108, 91.0 / 3, -301.0 / 20, 4613.0 / 1080,
-     -223.0 / 420},
-    {-42881.0 / 25200, 11179.0 / 900, -45731.0 / 1200, 11207.0 / 180, -8057.0 / 144, 8939.0 / 300,
-     -31871.0 / 3600, 7159.0 / 6300},
-};
-
-static inline double coefficient(int k, int j) {
-    return k < NODES / 2 ? COEFFICIENTS[k][j] : COEFFICIENTS[NODES - 1 - k][NODES - 1 - j];
-}
-
-static inline double node_between(double begin, double end, int k) {
-    return k < NODES - 1 ? begin + (end - begin) * k / (NODES - 1) : end;
-}
-
-/* Of one state or input; what rests does so exactly. */
+/* Of one state or input. */
 static inline void enclose_motion(const Sample *samples, int i, double length, Spans *found) {
-    double before = 0, low = 0, high = 0, slowest = INFINITY, fastest = -INFINITY;
-    for (int k = 1; k < NODES; k++) {
-        double sum = 0;
-        for (int j = 1; j < NODES; j++) sum += coefficient(k, j) * (samples[j][i] - samples[0][i]);
-        const double rate = (NODES - 1) * (sum - before) / length;
-        low = fmin(low, sum);
-        high = fmax(high, sum);
-        slowest = fmin(slowest, rate);
-        fastest = fmax(fastest, rate);
-        before = sum;
-    }
-    found->low[i] = samples[0][i] + low;
-    found->high[i] = samples[0][i] + high;
-    found->slowest[i] = slowest;
-    found->fastest[i] = fastest;
+    double values[NODES];
+    for (int k = 0; k < NODES; k++) values[k] = samples[k][i];
+    const Span span = span_of(values, length);
+    found->low[i] = span.low;
+    found->high[i] = span.high;
+    found->slowest[i] = span.slowest;
+    found->fastest[i] = span.fastest;
 }
 
 /* Spans of nothing yet. */

@@ -1,14 +1,15 @@
 /* The first time within a step at which a margin is not positive. Margins of validity conditions
- * have values, but no modes and no rates: nothing is frozen and no step ends there. They are looked
- * at in several places at once, and more closely where a parabola through three of them may reach
- * 0.
+ * have values, but no modes and no rates: nothing is frozen and no step ends there. Bounds prove
+ * that they are positive over a part of the step, or it is divided. Margins without bounds are
+ * looked at in several places at once, and more closely where a parabola through three of them may
+ * reach 0.
  */
 #ifndef MARGINS_H
 #define MARGINS_H
 
 #include <float.h>
-#include <math.h>
-#include <stdbool.h>
+
+#include "bounds.h"
 
 enum { LOOKS = 4, MOST_CLOSER_LOOKS = 40 };
 
@@ -70,6 +71,32 @@ static inline double first_outside(Measure *measure, void *motion, double begin,
         if (when < INFINITY || !(known[k] > 0)) return fmin(when, t[k]);
     }
     return INFINITY;
+}
+
+/* Between which values a margin and its rate stay from one time to another. */
+typedef Spanned Enclose(void *motion, double begin, double end);
+
+/* The first time in a span at which a margin is not positive, by bounds; infinite if it is
+ * everywhere. It is positive at the begin, and known at the end; so many parts are tried at most.
+ */
+static inline double first_unproven(Measure *measure, Enclose *enclose, void *motion, double begin,
+                                    double end, double a, double b, int *parts) {
+    double t[LOOKS + 1], m[LOOKS + 1], when = INFINITY;
+    const bool is_shortest = end - begin <= 2 * DBL_EPSILON * fabs(end);
+    if (is_shortest && !(b > 0)) return end;
+    if (b > 0) {
+        if (is_shortest || --*parts < 0) return INFINITY;
+        const Spanned span = enclose(motion, begin, end);
+        if (stays_positive(&span, a, b, end - begin)) return INFINITY;
+    }
+    t[0] = begin;
+    m[0] = a;
+    places_within(begin, end, t + 1);
+    measure(motion, t + 1, m + 1);
+    m[LOOKS] = b;
+    for (int k = 1; k <= LOOKS && when == INFINITY; ++k)
+        when = first_unproven(measure, enclose, motion, t[k - 1], t[k], m[k - 1], m[k], parts);
+    return when;
 }
 
 #endif

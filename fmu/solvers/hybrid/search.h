@@ -10,8 +10,7 @@
 #include "settle.h"
 
 enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
-enum { MOST_ENCLOSED = 4096 }; /* of a step; what touches its boundary is never proven */
-enum { MOST_BEYOND = 2 };      /* steps of rounding beyond a crossing */
+enum { MOST_BEYOND = 2 }; /* steps of rounding beyond a crossing */
 
 /* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
    step, and of a part of it. */

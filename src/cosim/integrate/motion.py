@@ -62,6 +62,22 @@ class Motion:
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
 
+    def with_sides(self) -> "Motion":
+        """Return the motion with a row before and one after each instant with an event."""
+        n, sides = len(self.time), [side for pair in self.instants for side in pair]
+        u = np.broadcast_to(self.u, (len(self.u), n))
+        if not sides:
+            return replace(self, u=u)
+        times = np.append([side.t for side in sides], self.time)
+        order = np.argsort(times, kind="stable")
+        rows = (
+            ([getattr(side, name) for side in sides], own)
+            for name, own in (("x", self.states), ("z", self.algebraics), ("inputs", u))
+        )
+        columns = (np.hstack((np.array(seen).T, own))[:, order] for seen, own in rows)
+        states, algebraics, u = columns
+        return replace(self, time=times[order], states=states, algebraics=algebraics, u=u)
+
 
 class Path(NamedTuple):
     """What moves in a motion, and at which rates.
@@ -81,20 +97,9 @@ class Path(NamedTuple):
     @staticmethod
     def of(motion: Motion, p: Vector) -> "Path":
         """Return the path of a motion through its rows and its instants."""
-        n, sides = len(motion.time), [side for pair in motion.instants for side in pair]
-        u = np.broadcast_to(motion.u, (len(motion.u), n))
-        if sides:
-            times = np.append([side.t for side in sides], motion.time)
-            order = np.argsort(times, kind="stable")
-            rows = (
-                ([getattr(side, name) for side in sides], own)
-                for name, own in (("x", motion.states), ("z", motion.algebraics), ("inputs", u))
-            )
-            columns = (np.hstack((np.array(seen).T, own))[:, order] for seen, own in rows)
-            states, algebraics, u = columns
-            motion = replace(motion, time=times[order], states=states, algebraics=algebraics, u=u)
+        motion = motion.with_sides()
         rates = rates_at(motion, slice(None), p)
-        return Path(motion.time, motion.states, rates, np.vstack((motion.algebraics, u)))
+        return Path(motion.time, motion.states, rates, np.vstack((motion.algebraics, motion.u)))
 
     @property
     def moved(self) -> Vector:

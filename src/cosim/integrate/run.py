@@ -24,6 +24,7 @@ from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.initial_values import consistent_values, input_values
+from cosim.integrate.limits import Again, first_left
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
@@ -51,11 +52,11 @@ from cosim.trajectory import Event, Trajectory
 _NEARLY_SINGULAR = 0.5
 
 
-def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breach]]:
+def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breach], Again]:
     """Compute the initial values and integrate; without states, or with a single time, repeat them.
 
     Returns:
-        The motion, and where fixed steps are too long for it.
+        The motion, where fixed steps are too long for it, and what adds rows to it.
     """
     problem, solver = prepared.problem, prepared.inner
     dae, grid, n = problem.dae, problem.grid, len(problem.grid)
@@ -64,8 +65,15 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
     if n == 1 or not (dae.states or hybrid(dae)):
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
         u = input_values(dae, grid, first, problem.inputs)
-        return Motion(dae, grid, states, guesses, u, Counts()), []
+        motion = Motion(dae, grid, states, guesses, u, Counts())
+        return motion, [], lambda _: motion
     found = integrate(problem, solver, start)
+
+    def again(times: Vector) -> Motion:
+        if isinstance(solver, FixedStep):  # rows would be ends of steps, of another motion
+            return found
+        return integrate(replace(problem, times=np.union1d(grid, times).tobytes()), solver, start)
+
     if found.reason and (name := _rate_without_value(dae, float(grid[0]), start)):
         found.reason = Ending(
             f"the derivative of {name} is not a number at the start",
@@ -75,7 +83,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
     invalid = list[Breach]()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
         invalid, found.reason = _step_check(problem, solver, found, start)
-    return found, invalid
+    return found, invalid, again
 
 
 def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
@@ -87,7 +95,7 @@ def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
 
 
 def _evaluated(
-    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach]
+    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach], again: Again
 ) -> tuple[Vector, int, Ending, list[Breach]]:
     """Evaluate the recorded variables while they are finite and, if requested, valid.
 
@@ -122,7 +130,7 @@ def _evaluated(
         elif singular is not None:  # an explicit formulation goes on, with a warning
             found.append(singular)
     if checked:
-        found += breaches(dae, solved, seen, n)
+        found += breaches(dae, solved, seen, n, first_left(motion, p, again))
         found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
@@ -286,8 +294,8 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     began, compiling, values = perf_counter(), time_compiling(), request.numbers
     name = prepared.problem.dae.full_name
     with doing(name):
-        motion, coarse = _integrated(prepared, values)
-        motion, recorded, reason = evaluated(prepared, motion, values.p, coarse)
+        motion, coarse, again = _integrated(prepared, values)
+        motion, recorded, reason = evaluated(prepared, motion, values.p, coarse, again)
         times = perf_counter() - began, time_compiling() - compiling
         found = trajectory_of(prepared, motion, recorded, values, times)
     if reason == INTERRUPTED:
@@ -298,7 +306,11 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
 
 
 def evaluated(
-    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach] = ()
+    prepared: Prepared,
+    motion: Motion,
+    p: Vector,
+    coarse: Sequence[Breach],
+    again: Again,
 ) -> tuple[Motion, Recorded, Ending]:
     """Return a motion up to its last good row, what it recorded, and why it stopped early.
 
@@ -307,8 +319,9 @@ def evaluated(
         motion: Its motion.
         p: Parameters.
         coarse: Where fixed steps are too long for it.
+        again: Returns it with further rows.
     """
-    table, n, reason, invalid = _evaluated(prepared, motion, p, coarse)
+    table, n, reason, invalid = _evaluated(prepared, motion, p, coarse, again)
     if n < motion.states.shape[1]:  # what happened after the last good row is not a result
         events = [e for e in motion.events if n and e.time <= motion.time[n - 1]]
         motion = replace(motion, events=events, stop="")

@@ -1,6 +1,6 @@
 """Checks of a run: validity conditions, step sizes, and singular configurations."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,7 +29,9 @@ class Breach(NamedTuple):
     reason: Violation
 
 
-def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
+def breaches(
+    dae: Dae, solved: Solved, seen: Observed, n: int, left: Mapping[int, float]
+) -> list[Breach]:
     """Return when each validity condition of the model is violated for the first time.
 
     A violation is located between output times, where the margin of its condition passes 0 or may
@@ -40,9 +42,16 @@ def breaches(dae: Dae, solved: Solved, seen: Observed, n: int) -> list[Breach]:
         solved: Result of the solver.
         seen: Its margins.
         n: Number of output times to check.
+        left: When conditions are violated first, s, by their positions, as far as that is known
+            better.
     """
     found = list[Breach]()
     for i, (_, meaning) in enumerate(dae.limits):
+        if i in left:
+            k = int(solved.time[:n].searchsorted(left[i]))
+            if k < n:
+                found.append(Breach(k, Violation(left[i], violated(meaning))))
+            continue
         margin = seen.margins[:n, i]
         for k in _doubtful(margin):
             when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)

@@ -11,6 +11,7 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.time_bounds import Enclosures, limit_enclosures
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
 from cosim.codegen.fmu.derivatives import argument_like, sensitivity_functions
@@ -55,10 +56,17 @@ def _distance(dae: Dae) -> ca.Function:
     return _plain_function(dae, "model_rank", dae.distance_from_singularity)
 
 
+@cached_per_thread(16)
+def bounded_limits(dae: Dae, system: Hybrid | None) -> Enclosures:
+    """Return the bounds of the margins of a model's limits over a part of a step."""
+    return limit_enclosures(dae, len(system.relations) if system else 0)
+
+
 def model_functions(
     dae: Dae, system: Hybrid | None, *, derivatives: bool, adjoint: bool
 ) -> tuple[ca.Function, ...]:
     """Return the functions that fmu/runtime/equations.h declares, but for the solver's step."""
+    bounds = bounded_limits(dae, system)
     return (
         start_function(dae),
         algebraic_function(dae),
@@ -67,7 +75,27 @@ def model_functions(
         *rank_functions(dae),
         *(sensitivity_functions(dae, adjoint=adjoint) if derivatives else []),
         *(law_functions(system) if system else []),
+        *_limit_functions(dae, bounds),
     )
+
+
+def moving_quantities(bounds: Enclosures) -> list[int]:
+    """Return the positions of the states and inputs on whose spans bounds depend."""
+    ends = ca.vertcat(bounds.low, bounds.high)
+    used = [ca.which_depends(ends, given, 1, False) for given in bounds.given[1:] if ends.numel()]
+    return [i for i, each in enumerate(zip(*used, strict=True)) if any(each)]
+
+
+def _limit_functions(dae: Dae, bounds: Enclosures) -> list[ca.Function]:
+    """Return the bounds of margins, and of their rates, which are seldom needed."""
+    if not bounds.relations:
+        return []
+    given = [dae.t, *bounds.given, dae.u, dae.p]
+    rates = [bounds.low[1::2], bounds.high[1::2]]
+    return [
+        ca.Function("model_limits", given, [bounds.low[::2]], {"cse": True}),
+        ca.Function("model_limit_rates", given, rates, {"cse": True}),
+    ]
 
 
 def generated_code(

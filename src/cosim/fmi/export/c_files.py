@@ -8,7 +8,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
-from cosim.codegen.fmu.equations import generated_code
+from cosim.codegen.fmu.equations import bounded_limits, generated_code, moving_quantities
 from cosim.codegen.fmu.solver import most_trials
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
@@ -38,6 +38,7 @@ def model_header(plan: Plan, guid: str) -> str:
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
+#define BOUNDED_LIMITS {len(bounded_limits(dae, plan.system).relations)}
 #define HAS_VALID {int(options.valid)}
 #define DEFAULT_TOLERANCE {options.tolerance!r}
 #define HAS_RANK {int(plan.detects_singularity)}
@@ -56,6 +57,8 @@ def variable_table(plan: Plan) -> str:
     """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
     limits = "".join(f"    {_literal(meaning)},\n" for _, meaning in plan.dae.limits)
     violations = "".join(f"    {_literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
+    bounds = bounded_limits(plan.dae, plan.system)
+    bounded, moving = (*bounds.relations, -1), (*moving_quantities(bounds), -1)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */
@@ -72,6 +75,9 @@ static const char *const limits[] = {{
 static const char *const violations[] = {{
 {violations}    NULL,
 }};
+
+static const int bounded_limits[] = {{{", ".join(map(str, bounded))}}};
+static const int moving_limits[] = {{{", ".join(map(str, moving))}}};
 {_event_tables(plan.system)}"""
 
 

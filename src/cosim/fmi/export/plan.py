@@ -11,7 +11,7 @@ import casadi as ca
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import runtime_sources, solver_sources
-from cosim.codegen.fmu.equations import embedded_sources, has_rank, model_functions
+from cosim.codegen.fmu.equations import bounded_limits, embedded_sources, has_rank, model_functions
 from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
 from cosim.errors import ParameterError
 from cosim.fmi.export.dependencies import (
@@ -78,7 +78,13 @@ class Plan:
     @property
     def watches_steps(self) -> bool:
         """Whether it needs a call after every step in model exchange."""
-        return self.detects_singularity or bool(self.system and any(self.system.of_input))
+        moved = self.system is not None and any(self.system.of_input)
+        return self.detects_singularity or moved or self.bounds_limits
+
+    @property
+    def bounds_limits(self) -> bool:
+        """Whether bounds of the margins of some limits are known."""
+        return bool(bounded_limits(self.dae, self.system).relations)
 
     @cached_property
     def runtime(self) -> dict[str, bytes]:
@@ -116,8 +122,8 @@ class Part:
 
 MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a second
 _KERNEL_OF_EVENTS = (
-    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "enclosure.h", "search.h"),
-    *("model_laws.h", "ode.h"),
+    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "bounds.h"),
+    *("enclosure.h", "search.h", "model_laws.h", "ode.h"),
 )
 
 # Every FMU contains the files of fmu/runtime that belong to no part.
@@ -142,9 +148,14 @@ PARTS = (
     Part(
         "relations that have bounds between two looks of an importer",
         lambda plan: plan.system is not None and bool(plan.system.enclosures.relations),
-        ("between_looks.h", "cubic.h"),
+        ("between_looks.h",),
     ),
-    Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h",)),
+    Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h", "bounds.h")),
+    Part(
+        "a motion between two points of an importer",
+        lambda plan: plan.bounds_limits or bool(plan.system and plan.system.enclosures.relations),
+        ("glance.h", "cubic.h"),
+    ),
     Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,

@@ -241,7 +241,10 @@ class EventBlocks:
         known = unquestioned(motion, values.p, with_conditions(self._prepared.problem.dae))
         if known is None or growth_in(known, values.p, *self._tolerance) is not None:
             return None
-        motion, recorded, reason = evaluated(self._prepared, known, values.p)
+        try:
+            motion, recorded, reason = evaluated(self._prepared, known, values.p, (), _needed)
+        except _RowsNeeded:
+            return None
         if reason:
             return None
         none = np.empty((0, 0))  # results of many runs hold the motion, but not its columns
@@ -279,6 +282,14 @@ class EventBlocks:
         alone = self._values.select(np.array([position]))
         again = partial(_block_of_one, alone, self.solver, found)
         return repeatable(found, request, self._prepared, again)
+
+
+class _RowsNeeded(Exception):
+    """Rows of a motion do not tell whether it violates a validity condition."""
+
+
+def _needed(_: Vector) -> Motion:
+    raise _RowsNeeded
 
 
 def _block_of_one(

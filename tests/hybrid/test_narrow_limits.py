@@ -1,0 +1,94 @@
+"""Validity conditions that are violated for a small part of a step, against the closed form."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+import pytest
+from hybrid.test_narrow_relations import CONDITIONS, SPAN, Condition
+
+import cosim
+from casadi_models.dae import Dae, Model
+from cosim.errors import SolverError
+
+WIDTHS = (1e-2, 1e-4)
+NATIVE = ["dop853", "cvodes", "idas", "erk", "rosenbrock", "rk4", "ode8"]
+STEPS = {"rk4": {"step_size": 0.02}, "ode8": {"step_size": 0.02}}
+MARGINS: dict[str, Condition] = {  # positive while the conditions of CONDITIONS are false
+    "between": lambda x, _, w, __: (x - 0.5) ** 2 - w**2,
+    "bump": lambda x, _, w, m: 0.5 - m.exp(-(((x - 0.5) / w) ** 2)),
+    "often": lambda x, _, w, m: 1 - w - m.sin(40 * x),
+    "in two states": lambda x, v, w, _: (x - 0.6) ** 2 + (v - 0.8) ** 2 - w**2,
+}
+
+
+def pendulum(kind: str) -> Dae:
+    """Return x = sin t with a limit, and rows that are far apart."""
+    model = Model("narrow", stop_time=SPAN, output_interval=0.5)
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1/s", 1.0, "speed")
+    w = model.parameter("w", "1", 0.01, "width")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.limit(MARGINS[kind](x, v, w, ca), "it is narrow")
+    return model.freeze()
+
+
+def leaves(kind: str, width: float) -> float:
+    """Return when the condition becomes true first, by samples 5e-7 s apart."""
+    t = np.linspace(0, 1, 2_000_001)
+    return float(t[np.argmax(CONDITIONS[kind](np.sin(t), np.cos(t), width, np))])
+
+
+def expect(stats: Any, kind: str, width: float, within: float = 1e-6) -> None:
+    (reason,) = stats["invalid"]
+    assert reason.time == pytest.approx(leaves(kind, width), abs=within)
+
+
+@pytest.mark.parametrize("solver", NATIVE)
+@pytest.mark.parametrize("kind", MARGINS)
+def test_native_run_reports_a_narrow_limit(kind: str, solver: str) -> None:
+    dae = pendulum(kind)
+    for width in WIDTHS:
+        run = cosim.simulate(dae, start_values={"w": width}, solver=solver, **STEPS.get(solver, {}))
+        expect(run.stats, kind, width)
+        assert len(run) == 41
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_native_run_ends_at_a_narrow_limit(solver: str) -> None:
+    steps = STEPS.get(solver, {})
+    with pytest.raises(SolverError, match=r"invalid from 0\.52348\d* s") as caught:
+        cosim.simulate(
+            pendulum("between"), start_values={"w": 1e-4}, solver=solver, on_invalid="stop", **steps
+        )
+    assert caught.value.partial is not None
+    assert caught.value.partial.time.tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("kind", "solver"),
+    [
+        *((kind, "dop853") for kind in MARGINS),
+        *(("often", solver) for solver in ("erk", "rosenbrock", "rk4", "ode8")),
+    ],
+)
+def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: Path) -> None:
+    steps: Any = {"step_size": 0.05} if solver in STEPS else {}
+    path = cosim.export_fmu(pendulum(kind), tmp_path / "narrow.fmu", solver=solver, **steps)
+    for width, master in zip(WIDTHS, ("c", "fmpy"), strict=True):
+        run = cosim.simulate_fmu(path, master=master, start_values={"w": width})
+        expect(run.stats, kind, width)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("kind", MARGINS)
+def test_model_exchange_reports_a_narrow_limit(
+    kind: str, fmi: Literal[2, 3], tmp_path: Path
+) -> None:
+    path = cosim.export_fmu(pendulum(kind), tmp_path / "narrow.fmu", fmi=fmi)
+    for width in WIDTHS:
+        for master, within in (("c", 1e-4), ("fmpy", 2e-6)):  # cubics of the importer's steps
+            what: Any = {"interface": "ModelExchange", "master": master}
+            run = cosim.simulate_fmu(path, start_values={"w": width}, **what)
+            expect(run.stats, kind, width, within)
