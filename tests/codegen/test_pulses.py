@@ -9,7 +9,7 @@ import cosim
 from casadi_models.dae import Model
 from cosim.api import execute, requested
 from cosim.backend import Backend
-from cosim.codegen.pulses import pulse_times
+from cosim.codegen.terms import pulse_times
 
 ERRORS = {"dop853": 1e-7, "erk": 1e-6, "rosenbrock": 1e-5, "cvodes": 1e-5, "cvodes_adams": 1e-5,
           "idas": 1e-5, "ode8": 1e-4, "rk4": 2e-3}  # fmt: skip

@@ -13,6 +13,8 @@ _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; ha
 _SAMPLES = 64  # of a cell, without bounds
 _GRADE = 4  # length of a part, in that of a neighbor
 _ROUNDINGS = 64  # within which edges are one
+_PARTS = 8  # of the range of a term and of the time of a pulse, at whose ends a step ends
+_ENDS = 1e-5  # change before and after a pulse, as a share of the range
 
 
 class Changes(NamedTuple):
@@ -159,3 +161,19 @@ def with_surroundings(edges: Vector, count: int) -> Vector:
         every = np.union1d(every, (every[:-1] + every[1:])[long] / 2)
     inner = every[:-1, None] + gaps[:, None] * np.arange(count) / count
     return np.append(inner, every[-1])
+
+
+def parted(t: Vector, values: Vector, size: float) -> Vector:
+    """Return times that divide a pulse into parts of little change and equal parts of time.
+
+    The values are those of the term at the times, and the size is its range in the run.
+    """
+    size = max(size, float(np.ptp(values)))
+    if not size:
+        return t[[0, -1]]
+    change = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(values))))) / size
+    first, last = np.interp([_ENDS, change[-1] - _ENDS], change, t)
+    way = change + np.clip((t - first) / max(last - first, np.spacing(last)), 0, 1)
+    begin, end = np.interp([first, last], t, way)
+    ends: Vector = np.interp(np.linspace(begin, end, int((end - begin) * _PARTS) + 2), way, t)
+    return ends

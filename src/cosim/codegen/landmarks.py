@@ -29,9 +29,9 @@ from cosim.codegen.changes import (
     apart,
     changes_between,
     changing_parts,
+    parted,
     with_surroundings,
 )
-from cosim.codegen.pulses import parted
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit

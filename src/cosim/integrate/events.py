@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_models.dae.hybrid import Hybrid, input_rates
 from cosim.arrays import Vector
-from cosim.codegen.pulses import pulse_times
+from cosim.codegen.terms import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED, Reached
@@ -56,12 +56,9 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     breaks = problem.inputs is not None and problem.inputs.breaks.size
     smooth = problem.dae if system is None else system.dae
     span = float(problem.grid[0]), float(problem.grid[-1])
-    longest = solver.step(problem) if isinstance(solver, FixedStep) else span[1] - span[0]
-    if isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
-        longest = min(longest, solver.max_step)
-    pulses = pulse_times(smooth, start.values.p, *span, longest)
-    inner = pulses if problem.dae.limits and isinstance(solver, AdaptiveSolver) else pulses[:0]
-    rows = np.union1d(problem.grid, inner)
+    pulses = np.empty(0)
+    if isinstance(solver, FixedStep):  # the others are repeated where they pass over changes
+        pulses = pulse_times(smooth, start.values.p, *span, solver.step(problem))
 
     def attempt(closer: Closer | None, grid: Vector, ends: Vector) -> Motion:
         own = replace(problem, times=grid.tobytes())
@@ -82,12 +79,12 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     return followed_growth(
         lambda closer: attentive(
             partial(attempt, closer),
-            rows,
+            problem.grid,
             start.values.p,
             solver.tolerance.pair[0],
             with_conditions(problem.dae),
         ),
-        lambda closer, steps: attempt(closer, np.unique(between(rows, steps)), np.empty(0)),
+        lambda closer, steps: attempt(closer, np.unique(between(problem.grid, steps)), np.empty(0)),
         solver,
         start.values.p,
     )

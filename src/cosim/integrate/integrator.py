@@ -20,13 +20,13 @@ from cosim.arrays import Vector
 from cosim.codegen.functions import CALL, equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.landmarks import landmarks
-from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import (
     dop853_method,
     explicit_function,
     explicit_library,
     fixed_step_method,
 )
+from cosim.codegen.terms import pulse_times
 from cosim.errors import SolverError, UsageError
 from cosim.integrate.engine import Engine, Problem
 from cosim.integrate.events import integrate
@@ -334,9 +334,7 @@ def integrator(
     requested = requested_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
     has_events = hybrid(dae) is not None
     span = float(times[0]), float(times[-1])
-    if not has_events and len(
-        found := pulse_times(dae, assign(dae, {}).p, *span, span[1] - span[0])
-    ):
+    if not has_events and len(found := pulse_times(dae, assign(dae, {}).p, *span)):
         warn(
             f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
             "short pulses that CasADi's integrators may step over; divide the grid there into "

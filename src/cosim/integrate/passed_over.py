@@ -11,18 +11,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
-from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.inner_terms import InnerTerm, inner_terms
 from casadi_models.dae.single_terms import single_terms
-from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import Bounds, apart, bent_parts, with_surroundings
+from cosim.codegen.changes import apart, bent_parts, parted, with_surroundings
 from cosim.codegen.landmarks import knots_of, way_of
-from cosim.codegen.pulses import parted
+from cosim.codegen.terms import Terms, terms_of
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
@@ -39,46 +35,6 @@ _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
-
-
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """Terms of time or one state, which moves.
-
-    Attributes:
-        moving: The position of the state; that of time is after all states.
-        values: `(moving, p) -> terms`, (n,).
-        bends: `(moving, length, p) -> bounds of how far from lines`, two of each, (n,).
-        bounded: Whether these are known, (n,).
-        tables: The terms that call tables.
-    """
-
-    moving: int
-    values: ca.Function
-    bends: ca.Function
-    bounded: tuple[bool, ...]
-    tables: tuple[InnerTerm, ...]
-
-    def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
-        """Return a term as a function of what moves."""
-        return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
-
-    def off(self, term: int, p: Vector) -> Bounds | None:
-        """Return bounds of its distance from a line, from begins and lengths; None if unknown."""
-
-        def bound(begins: Vector, lengths: Vector) -> Vector:
-            bounds = self.bends(begins[None], lengths[None], p)
-            return np.fmin(*(np.array(off)[term, : len(begins)] for off in bounds))
-
-        return bound if self.bounded[term] else None
-
-    def along(self, term: int, p: Vector, path: Path) -> Vector:
-        """Return a term on a path, (n,)."""
-        return self.value(term, p)(self.moved(path))
-
-    def moved(self, path: Path) -> Vector:
-        """Return what moves them on a path, (n,)."""
-        return np.asarray(np.vstack((path.states, path.time))[self.moving])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,22 +59,6 @@ class Place:
     def times(self) -> Vector:
         """Times in it, and as far before and after it as it is long, s."""
         return with_surroundings(self.edges, _INNER)
-
-
-@cached_per_thread(32)
-def _terms_of(dae: Dae) -> tuple[_Terms, ...]:
-    found, length = list[_Terms](), SX.sym("length")
-    for moving, terms in single_terms(dae).items():
-        s = ca.vertcat(dae.x, dae.t)[moving]
-        known = [bounds_along(term, s, [dae.p], length) for term in ca.vertsplit(terms)]
-        rows = [bounds or (SX(0), SX(0)) for bounds in known]
-        ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
-        values = ca.Function("values", [s, dae.p], [terms], {"cse": True})
-        bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
-        tables = tuple(t for t in inner_terms(dae) if t.movers == (moving,) and t.tables)
-        bounded = tuple(b is not None for b in known)
-        found.append(_Terms(moving, values, bends, bounded, tables))
-    return tuple(found)
 
 
 def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: Dae) -> Motion:
@@ -212,18 +152,27 @@ def _counted(motion: Motion) -> int:
 
 
 def _has_terms(dae: Dae) -> bool:
-    return bool(_terms_of(dae)) or several_terms_of(dae) is not None
+    return bool(terms_of(dae)) or several_terms_of(dae) is not None
+
+
+def _moved(terms: Terms, path: Path) -> Vector:
+    """Return what moves some terms on a path, (n,)."""
+    return np.asarray(np.vstack((path.states, path.time))[terms.moving])
+
+
+def _along(terms: Terms, term: int, p: Vector, path: Path) -> Vector:
+    return terms.value(term, p)(_moved(terms, path))
 
 
 def _found(dae: Dae, motion: Motion, p: Vector, steps: int) -> list[Place]:
     """Return where terms bend within a part of an average step."""
     names = [*(state.name for state in dae.states), "time"]
     path, found = Path.of(motion, p), list[Place]()
-    for terms in _terms_of(dae):
+    for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
         for term, edges in _bends(terms, turned, dae, p, steps):
-            values = partial(terms.along, term, p)
-            times = _times(turned.time, terms.moved(turned), edges)
+            values = partial(_along, terms, term, p)
+            times = _times(turned.time, _moved(terms, turned), edges)
             found += [Place(own, names[terms.moving], values) for own in times]
     several = several_terms_of(dae)
     if several is None:
@@ -298,13 +247,13 @@ def between(grid: Vector, steps: int) -> Vector:
     return np.concatenate(gaps)
 
 
-def _bends(terms: _Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tuple[int, Vector]]:
+def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tuple[int, Vector]]:
     """Return where on the way of what moves its terms bend within a part of an average step.
 
     Returns:
         The position of a term, and values of what moves between which it changes, ascending.
     """
-    x = terms.moved(path)
+    x = _moved(terms, path)
     way = float(np.abs(np.diff(x)).sum())
     if not (np.isfinite(way) and way > 0):
         return []
@@ -318,7 +267,7 @@ def _bends(terms: _Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[t
     ]
 
 
-def _knots(dae: Dae, terms: _Terms, p: Vector) -> Vector:
+def _knots(dae: Dae, terms: Terms, p: Vector) -> Vector:
     """Return where tables of what moves have their knots."""
     own = (way_of(dae, term, knots_of(term), p) for term in terms.tables)
     return np.unique(np.concatenate([np.empty(0), *own]))

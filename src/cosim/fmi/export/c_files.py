@@ -13,7 +13,7 @@ from cosim.codegen.fmu.solver import most_trials
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pieces import in_pieces
-from cosim.codegen.pulses import pulse_parameters
+from cosim.codegen.terms import pulse_parameters
 from cosim.errors import UsageError
 from cosim.fmi.export.events import LEAST_STEPS, fmu_pulses
 from cosim.fmi.export.plan import Plan

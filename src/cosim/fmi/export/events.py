@@ -11,18 +11,27 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
 from cosim.arrays import Vector
 from cosim.codegen.landmarks import landmarks
-from cosim.codegen.pulses import pulse_times
+from cosim.codegen.terms import pulse_times
 from cosim.errors import UsageError
 
 LEAST_STEPS = 50  # of the solver in a model's span
+_SAME_TIME = 1e-9  # relative distance of times that importers take as one
 
 
 def fmu_pulses(dae: Dae) -> Vector:
     """Return the times at which steps must end for a solver to see all terms of time, s."""
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     span = dae.experiment.stop_time
-    sampled = pulse_times(dae, p, 0.0, span, span / LEAST_STEPS)
-    return np.union1d(sampled, landmarks(dae).times)
+    known = landmarks(dae)
+    slopes = ca.jacobian(known.arguments, dae.t)
+    line = ca.Function("line", [dae.t, dae.x, dae.u, dae.z, dae.p], [known.arguments, slopes])
+    value, slope = (np.array(row).ravel() for row in line(0, 0, 0, 0, p))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relations = -value / slope  # infinite for those of states
+    others = np.append(known.times, relations[np.isfinite(relations)])
+    sampled = pulse_times(dae, p, 0.0, span)
+    gaps = np.abs(sampled[:, None] - others).min(axis=1, initial=np.inf)
+    return np.union1d(known.times, sampled[gaps > _SAME_TIME * np.abs(sampled)])
 
 
 def fmu_events(dae: Dae) -> Hybrid | None:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Truths, Vector
 from cosim.codegen.c_fields import fields
-from cosim.codegen.pulses import pulse_times
 from cosim.codegen.runge_kutta.explicit_library import work_space
 from cosim.errors import CompilerTimeout, InitialConditionError, SolverError
 from cosim.host.progress import doing
@@ -177,7 +176,6 @@ class EventBlocks:
         possible = [i for i in range(first, self._next) if i not in self._values.refused]
         some = self._values.select(np.array(possible, dtype=np.int64))
         x, z, begins = _starts(self._prepared, some)
-        begins &= np.array([not len(self._pulses(p)) for p in some.p], dtype=bool)
         going = np.array(possible)[begins].tolist()
         if not going:
             return
@@ -199,12 +197,6 @@ class EventBlocks:
             found = self._finished(going[k], motion, Values(x[k], p[k], u[k]), events)
             if found is not None:
                 self._ready[going[k]] = found
-
-    def _pulses(self, p: Vector) -> Vector:
-        """Return the times at which steps must end for terms of time, as of a single run."""
-        begin, end = self._prepared.problem.grid[[0, -1]].tolist()
-        longest = min(end - begin, self.solver.max_step or np.inf)
-        return pulse_times(self._system.dae, p, begin, end, longest)
 
     def _call(self, x: Vector, z: Vector, u: Vector, p: Vector) -> tuple[list[Vector], Vector]:
         """Return states, unknowns and inputs, (runs, times, ...), and the report of each run."""

@@ -1,0 +1,109 @@
+"""`terms_of`, `pulse_times`: terms of time or one state, and where those of time change."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from casadi_models.dae import Dae
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms
+from casadi_models.dae.single_terms import single_terms
+from casadi_models.dae.time_bounds import bounds_along
+from cosim.arrays import Vector
+from cosim.codegen.changes import Bounds, bent_parts, parted, with_surroundings
+from cosim.memo import cached_per_thread
+
+_IN_STEP, _MOST_CELLS = 4, 4_000  # parts of a step, within which a term is a line; of a run
+_NAMES = ["s", "p"], ["terms"]
+_STEPS = 50  # at least, in a run
+_INNER = 16  # samples of a part of a change
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Terms of time or one state, which moves.
+
+    Attributes:
+        moving: The position of the state; that of time is after all states.
+        values: `(moving, p) -> terms`, (n,).
+        bends: `(moving, length, p) -> bounds of how far from lines`, two of each, (n,).
+        bounded: Whether these are known, (n,).
+        tables: The terms that call tables.
+    """
+
+    moving: int
+    values: ca.Function
+    bends: ca.Function
+    bounded: tuple[bool, ...]
+    tables: tuple[InnerTerm, ...]
+
+    def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
+        """Return a term as a function of what moves."""
+        return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
+
+    def off(self, term: int, p: Vector) -> Bounds | None:
+        """Return bounds of its distance from a line, from begins and lengths; None if unknown."""
+
+        def bound(begins: Vector, lengths: Vector) -> Vector:
+            bounds = self.bends(begins[None], lengths[None], p)
+            return np.fmin(*(np.array(off)[term, : len(begins)] for off in bounds))
+
+        return bound if self.bounded[term] else None
+
+
+@cached_per_thread(32)
+def terms_of(dae: Dae) -> tuple[Terms, ...]:
+    """Return the terms of time, and of each state, that may rest and change on its way."""
+    found, length = list[Terms](), SX.sym("length")
+    for moving, terms in single_terms(dae).items():
+        s = ca.vertcat(dae.x, dae.t)[moving]
+        known = [bounds_along(term, s, [dae.p], length) for term in ca.vertsplit(terms)]
+        rows = [bounds or (SX(0), SX(0)) for bounds in known]
+        ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
+        values = ca.Function("values", [s, dae.p], [terms], *_NAMES, {"cse": True})
+        bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
+        tables = tuple(t for t in inner_terms(dae) if t.movers == (moving,) and t.tables)
+        bounded = tuple(b is not None for b in known)
+        found.append(Terms(moving, values, bends, bounded, tables))
+    return tuple(found)
+
+
+def _of_time(dae: Dae) -> Terms | None:
+    return next((terms for terms in terms_of(dae) if terms.moving == len(dae.states)), None)
+
+
+def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float = 0.0) -> Vector:
+    """Return the times at which steps must end for a solver to see all terms of time, s.
+
+    Args:
+        dae: The model, with frozen relations.
+        p: Parameters.
+        begin, end: Times of the run, s.
+        longest: Longest step of the solver, s; 0 for a part of the run.
+    """
+    terms = _of_time(dae)
+    if terms is None or not end > begin:
+        return np.empty(0)
+    longest = longest or (end - begin) / _STEPS
+    count = int(np.clip(np.ceil(_IN_STEP * (end - begin) / longest), 1, _MOST_CELLS))
+    cells = np.linspace(begin, end, count + 1)
+    found = [np.empty(0)]
+    for i in range(len(terms.bounded)):
+        values = terms.value(i, p)
+        for edges in bent_parts(values, terms.off(i, p), cells, np.empty(0)):
+            t = with_surroundings(edges, _INNER)
+            seen = values(t)
+            found.append(parted(t, seen, float(np.ptp(seen))))
+    times = np.unique(np.concatenate(found))
+    return np.asarray(times[(begin < times) & (times < end)])
+
+
+def pulse_parameters(dae: Dae) -> tuple[str, ...]:
+    """Return the parameters on which the terms of time depend."""
+    terms = _of_time(dae)
+    if terms is None or not dae.parameters:
+        return ()
+    which = terms.values.which_depends("p", ["terms"])
+    return tuple(v.name for v, depends in zip(dae.parameters, which, strict=True) if depends)
