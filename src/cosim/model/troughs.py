@@ -118,15 +118,15 @@ def _spans(low: Truths) -> Iterator[tuple[int, Integers]]:
 def _should_grow(path: StatePath, i: int, first: int) -> bool:
     """Return whether a state that is low from a row on grows above it again by its own rate."""
     rows = np.unique(np.linspace(first, len(path.time) - 1, 4 * _LOOKS).astype(int))
-    return bool(_growth(path, i, rows).max() > 0)
+    return bool(_growth(path, i, rows, path.states[i, first]).max() > 0)
 
 
-def _growth(path: StatePath, i: int, rows: Integers) -> Vector:
-    """Return the powers of e by which a state that is 0 nearly grows from the first row on."""
+def _growth(path: StatePath, i: int, rows: Integers, value: float) -> Vector:
+    """Return the powers of e by which a state would grow from the first row on, from a value."""
     states = path.states[:, rows].copy()
-    states[i] = tiny = _TINY * path.sizes[i]
-    with np.errstate(over="ignore", invalid="ignore"):
-        rates = path.rates(path.time[rows], states)[i] / tiny
+    states[i] = value
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        rates = path.rates(path.time[rows], states)[i] / value
         steps = np.diff(path.time[rows]) * (rates[1:] + rates[:-1]) / 2
         return np.nan_to_num(np.concatenate(([0.0], np.cumsum(steps))))
 
@@ -143,7 +143,8 @@ def _lost(
     alone = np.arange(len(levels)) == i
     if rests.of(alone)[i]:
         # where its digits are lost, its own rate tells how low it should be
-        own = levels[i, rows[0]] * np.exp(_growth(path, i, rows))
+        growth = _growth(path, i, rows, _TINY * path.sizes[i])
+        own = levels[i, rows[0]] * np.exp(growth)
         if not _crosses(path, i, rows):
             own = np.fmin(own, np.where(levels[i, rows] > 0, levels[i, rows], np.inf))
         return int(rows[np.argmin(own)]), max(float(own.min()), float(np.finfo(float).tiny)), alone
