@@ -62,6 +62,20 @@ def test_wheels_that_start_at_rest_stick_from_the_start(settings):
         np.testing.assert_allclose(run[name], 5 / 0.7 * run.time, rtol=0, atol=1e-9)
 
 
+def test_sliding_parts_hide_no_unstable_macro_step():
+    """Complete before, with 59318 m/s: what is unstable is unstable as one part, too."""
+    parts, wires = sliding_wheels()
+    body, link = cosim.Model("body", stop_time=1.0), cosim.Model("link", stop_time=1.0)
+    v, force = body.state("v", "m/s", 1.0, "speed"), body.input("F", "N", 0.0, "force")
+    body.derivative(v, force)
+    link.output("F", "N", -30 * link.input("v", "m/s", 0.0, "speed"), "force")
+    parts |= {"m": body.freeze(), "l": link.freeze()}
+    wires |= {"m.F": "l.F", "l.v": "m.v"}
+    system = cosim.couple(parts, wires, abilities=dict.fromkeys("ml", "no rollback"))
+    with pytest.raises(SolverError, match=r"0\.1 s is too long for iterated: the input [ml]\."):
+        system.simulate(macro_step=0.1, stop_time=1.0, output_interval=0.1)
+
+
 def test_sliding_parts_that_are_no_one_model_end_in_the_error_of_the_parts():
     """A loop of a gain so near to 1 that it is singular as one model; 'ValueError' before."""
     parts, wires = sliding_wheels()

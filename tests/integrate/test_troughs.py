@@ -37,8 +37,18 @@ def season(x, w):
     return x * ca.sin(w) - 1e-3 * x * x, 0.05
 
 
+def crowd(x, y):
+    return x * (1.1 - 0.4 * y), y * (0.1 * x - 0.4)
+
+
+def food_chain(x, y, z):
+    return x * (1 - y), y * (x - z - 1), z * (y - 1)
+
+
 CASES = {
     "hunters": ({"x": 20.0, "y": 20.0}, hunters, 60.0),
+    "crowd": ({"x": 200.0, "y": 200.0}, crowd, 200.0),  # x falls to 1.1e-100
+    "food_chain": ({"x": 10.0, "y": 10.0, "z": 1.0}, food_chain, 30.0),  # y to 1.2e-5
     "epidemic": ({"s": 1e6, "i": 1e-12}, epidemic, 80.0),
     "incubated": ({"s": 0.999, "e": 0.0, "i": 1e-3, "r": 0.0}, incubated, 400.0),
     "reactor": ({"a": 0.1, "x": 1.0}, reactor, 400.0),
@@ -49,11 +59,7 @@ WORST = {"dop853": 1e-6, "erk": 2e-6, "rosenbrock": 2e-5, "cvodes": 1e-4, "idas"
 
 def error(run, starts, laws) -> float:
     """Return the largest difference from a solution of which each digit is controlled."""
-    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-100, "t_eval": run.time}
-
-    def rates(_, x):
-        return [float(rate) for rate in laws(*x)]
-
+    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-150, "t_eval": run.time}
     exact = solve_ivp(
         lambda _, x: [float(rate) for rate in laws(*x)],
         run.time[[0, -1]],
@@ -72,6 +78,7 @@ def error(run, starts, laws) -> float:
             pytest.param(case, solver, marks=pytest.mark.slow)
             for case in CASES
             for solver in ("erk", "rosenbrock")
+            if (case, solver) != ("crowd", "rosenbrock")  # whose steps vanish: it says so
         ),
     ],
 )

@@ -4,7 +4,6 @@ import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
@@ -28,8 +27,9 @@ from cosim.coupling.failures import (
 )
 from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
 from cosim.coupling.own_steps import own_steps
+from cosim.coupling.settings import Method, Settings
 from cosim.coupling.stability import Ranges, reject_instability
-from cosim.errors import Interrupted, SolverError, UsageError
+from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, output_names, rounding
@@ -37,7 +37,7 @@ from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
-from cosim.model.times import reject_rounded, time_grid
+from cosim.model.times import time_grid
 from cosim.trajectory import Column, Event, Trajectory
 
 _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
@@ -45,39 +45,6 @@ _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third run is usual
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _TIGHTEST = 1e-13
-
-
-class Method(StrEnum):
-    """How inputs move within a macro step, in the order of fmu/master/coupling.h."""
-
-    JACOBI = "jacobi"
-    GAUSS_SEIDEL = "gauss_seidel"
-    EXTRAPOLATED = "extrapolated"
-    ITERATED = "iterated"
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How to simulate: times and steps in s, tolerance of the parts; see `System.simulate`."""
-
-    start: float
-    stop: float
-    interval: float
-    accuracy: float | None
-    macro_step: float | None
-    method: Method
-    tolerance: float | None
-    threads: bool = False
-
-    def __post_init__(self) -> None:
-        reject_rounded("macro_step", self.macro_step, self.start, self.stop)
-        if self.accuracy is not None and self.macro_step is not None:
-            raise UsageError("accuracy chooses the macro steps; leave macro_step out")
-        if self.macro_step is None and self.method in (Method.JACOBI, Method.GAUSS_SEIDEL):
-            raise UsageError(
-                f"{self.method} has no estimate of its error; give macro_step, or take the "
-                f"method {Method.ITERATED}"
-            )
 
 
 @dataclass(frozen=True)
@@ -217,9 +184,9 @@ class CoSimulation:
             if "forced_steps" in run.stats:
                 return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
-            tighter = _TIGHTER
+            tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
+            rounding = self._rounding(run, sizes, accuracy)
             if last is not None:
-                sizes = np.array([column.nominal for column in run.columns])
                 n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
                 change = np.abs(run.values[:n] - last.values[:n])
                 change[(jumps | jumps_before)[:n]] = 0
@@ -227,6 +194,7 @@ class CoSimulation:
                 most = float(change.max())
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
+                estimate += rounding
                 before = most
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
@@ -245,6 +213,24 @@ class CoSimulation:
             f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
             partial=run,
         )
+
+    def _rounding(self, run: Trajectory, sizes: Vector, accuracy: float) -> float:
+        """Return the largest rounding of a run, in nominal values.
+
+        Raises:
+            SolverError: It is above the accuracy.
+        """
+        moves = np.ptp(run.values, axis=0) > 0
+        every = np.finfo(float).eps * np.where(moves, np.abs(run.values).max(axis=0), 0) / sizes
+        rounding = float(every.max(initial=0.0))
+        if rounding > accuracy:
+            raise SolverError(
+                f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: double "
+                f"precision carries {run.columns[int(every.argmax())].name} to {rounding:.1g} "
+                "nominal values only; allow a larger error, or give macro_step",
+                partial=run,
+            )
+        return rounding
 
     def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:
         """Return a run whose macro steps could not be as short as its tolerance wants them.
@@ -407,7 +393,8 @@ class CoSimulation:
                 remedy = as_models(self._wiring)
                 notes += [f"an event of part '{part}' repeats itself at one instant{remedy}"]
                 run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
-            raise EndlessEvents(f"{self.name}: {why}", run, part)
+            if why or settings.merges:
+                raise EndlessEvents(f"{self.name}: {why}", run, part)
         if why:
             raise SolverError(f"{self.name}: {why}", partial=run)
         return run

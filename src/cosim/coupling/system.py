@@ -12,13 +12,14 @@ from weakref import finalize
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection
-from cosim.coupling.co_simulation import CoSimulation, Method, Settings
+from cosim.coupling.co_simulation import CoSimulation
 from cosim.coupling.connectors import Connector, with_outputs
 from cosim.coupling.failures import EndlessEvents
 from cosim.coupling.merged import Merged, one_model, sliding_parts
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, free_name, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
+from cosim.coupling.settings import Method, Settings
 from cosim.coupling.signals import Signals
 from cosim.coupling.values import values_of
 from cosim.errors import (
@@ -259,10 +260,6 @@ class System:
         with self.naming_files(), self._lock:  # which owns the instances of the parts
             try:
                 run = self._run(settings, given, self._recorded(names))
-            except EndlessEvents as error:
-                if not error.partial.complete:
-                    raise
-                run = error.partial  # with a note
             except (SolverError, Interrupted) as error:
                 if isinstance(error.partial, Trajectory):
                     error.partial = with_outputs(error.partial, self.connectors, names)
@@ -312,12 +309,14 @@ class System:
             return self._co_simulation.run(settings, values, recorded)
         except EndlessEvents as error:
             names = sliding_parts(self.parts, self.connections, error.part)
-            if not names:
-                raise
             try:
-                return self._run_merged(names, settings, given, recorded)
+                if names:
+                    return self._run_merged(names, settings, given, recorded)
             except (SolverError, UsageError):
+                pass
+            if not error.partial.complete:
                 raise error from None
+        return self._co_simulation.run(replace(settings, merges=False), values, recorded)
 
     def _run_merged(
         self,

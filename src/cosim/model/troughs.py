@@ -18,6 +18,7 @@ from cosim.series.samples import ROUNDING_OF_OTHERS
 
 MOST_TRIALS = 6  # of a run, each with a smaller tolerance
 _EFFECT = 100  # least error that matters, in relative tolerances
+_TINY = 1e-60  # nominal values, of a state whose own rate is proportional to it
 _FEW_LOOKS, _LOOKS = 3, 50  # rows of a motion at which a state may rest at 0
 _SPARE = 0.01  # of the least tolerance that controls all digits
 _DEEPER = 1e-12  # share of a tolerance that may resolve what is an error of the solver
@@ -73,11 +74,12 @@ def deepest_trough(
     if len(path.time) < 2 or not min(tolerance) > 0:
         return None
     levels = np.abs(path.states) / path.sizes[:, None]
-    # at first, half of the digits may be lost
-    least = absolute * shares / np.where(shares < 1, relative, np.sqrt(relative))
-    low = levels < least[:, None]
     needed = shares.copy()
     rests = _Rests(path)
+    alone = np.array([rests.of(own)[i] for i, own in enumerate(np.eye(len(shares), dtype=bool))])
+    # of states that vanish only together, half of the digits may be lost at first
+    limits = np.where(alone | (shares < 1), relative, np.sqrt(relative))
+    low = levels < (absolute * shares / limits)[:, None]
     worst: tuple[float, int, int, float] | None = None
     for i, rows in _spans(low):
         end = int(rows[-1]) + 1
@@ -86,7 +88,7 @@ def deepest_trough(
         is_left = complete and end < len(path.time)
         if np.any(jumped) or not levels[i, rows].any():
             continue
-        lost = _lost(rests, levels, low, i, rows)
+        lost = _lost(rests, path, levels, low, i, rows)
         grows = is_left or not complete
         if lost is None or not (grows or _should_grow(path, i, int(rows[0]))):
             continue
@@ -96,8 +98,8 @@ def deepest_trough(
         matters = relative * (1 if shares[i] < 1 else _EFFECT)
         if absolute * shares[i] * peak <= matters * size:
             continue
-        crossed = np.ptp(np.sign(path.states[i, rows])) > 0
-        share = _DEEPER * shares[i] if crossed else _SPARE * relative * size / absolute
+        unknown = not alone[i] and _crosses(path, i, rows)
+        share = _DEEPER * shares[i] if unknown else _SPARE * relative * size / absolute
         needed[group] = np.fmax(np.fmin(needed[group], share), _LEAST_SHARE)
         if needed[i] < shares[i] and (worst is None or share < worst[0]):
             worst = share, i, row, size
@@ -116,22 +118,36 @@ def _spans(low: Truths) -> Iterator[tuple[int, Integers]]:
 def _should_grow(path: StatePath, i: int, first: int) -> bool:
     """Return whether a state that is low from a row on grows above it again by its own rate."""
     rows = np.unique(np.linspace(first, len(path.time) - 1, 4 * _LOOKS).astype(int))
-    states, least = path.states[:, rows].copy(), path.states[i, first]
-    states[i] = least
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rates = path.rates(path.time[rows], states)[i] / least
-        growth = np.cumsum(np.diff(path.time[rows]) * (rates[1:] + rates[:-1]) / 2)
-    return bool(growth.max(initial=0) > 0)
+    return bool(_growth(path, i, rows, path.states[i, first]).max() > 0)
+
+
+def _growth(path: StatePath, i: int, rows: Integers, value: float) -> Vector:
+    """Return the powers of e by which a state would grow from the first row on, from a value."""
+    states = path.states[:, rows].copy()
+    states[i] = value
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        rates = path.rates(path.time[rows], states)[i] / value
+        steps = np.diff(path.time[rows]) * (rates[1:] + rates[:-1]) / 2
+        return np.nan_to_num(np.concatenate(([0.0], np.cumsum(steps))))
+
+
+def _crosses(path: StatePath, i: int, rows: Integers) -> bool:
+    """Return whether a state changes its sign."""
+    return bool(np.ptp(np.sign(path.states[i, rows])) > 0)
 
 
 def _lost(
-    rests: "_Rests", levels: Vector, low: Truths, i: int, rows: Integers
+    rests: "_Rests", path: StatePath, levels: Vector, low: Truths, i: int, rows: Integers
 ) -> tuple[int, float, Truths] | None:
     """Return where a low state is least, its size there, and which states share its fate, (nx,)."""
     alone = np.arange(len(levels)) == i
     if rests.of(alone)[i]:
-        own = np.where(levels[i, rows] > 0, levels[i, rows], np.inf)
-        return int(rows[np.argmin(own)]), float(own.min()), alone
+        # where its digits are lost, its own rate tells how low it should be
+        growth = _growth(path, i, rows, _TINY * path.sizes[i])
+        own = levels[i, rows[0]] * np.exp(growth)
+        if not _crosses(path, i, rows):
+            own = np.fmin(own, np.where(levels[i, rows] > 0, levels[i, rows], np.inf))
+        return int(rows[np.argmin(own)]), max(float(own.min()), float(np.finfo(float).tiny)), alone
     row = int(rows[np.argmin(np.max(levels[:, rows], axis=0, where=low[:, rows], initial=0))])
     group = rests.of(low[:, row])
     if not group[i]:

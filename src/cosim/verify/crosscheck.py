@@ -10,7 +10,7 @@ from typing import Any
 import casadi_models
 from casadi_models.dae import Dae
 from cosim.backend import FMU_BACKENDS, Backend
-from cosim.coupling.co_simulation import Method
+from cosim.coupling.settings import Method
 from cosim.coupling.system import System
 from cosim.errors import CosimError, FmuError, InitialConditionError, SolverError, UsageError
 from cosim.fmi.export.package import export_fmu

@@ -7,7 +7,7 @@ from statistics import median
 from time import perf_counter
 from typing import Any
 
-from cosim.coupling.co_simulation import Method
+from cosim.coupling.settings import Method
 from cosim.coupling.system import System
 from cosim.errors import SolverError
 from cosim.integrate.keywords import requested
