@@ -176,23 +176,12 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         double *report = block->report + i * BLOCK_REPORT;
         BlockRun self = {
             .block = block,
-            .problem = {.rhs = solver.rhs,
-                        .project = solver.project,
-                        .c = block->c + i * NC,
-                        .arg = arg + 4,
-                        .res = res + 2,
-                        .iw = iw,
-                        .w = w,
+            .problem = {.c = block->c + i * NC,
                         .relative = block->relative,
                         .absolute = block->absolute,
                         .nominal = block->nominal + i * NX,
                         .leaves_stiff = block->leaves_stiff != 0},
-            .watch = {.watch = solver.watch,
-                      .owner = {block->c + i * NC, block->sizes + i * NX, NULL, arg + 4, res + 2,
-                                iw, w, NULL, NULL},
-                      .records = records,
-                      .last_record = last,
-                      .relation = -1},
+            .watch = {.records = records, .last_record = last},
             .t = block->times[0],
             .due = INFINITY,
             .states = block->states + i * block->points * NX,
@@ -202,9 +191,8 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         self.problem.z = self.z;
         self.problem.u = self.u;
         if (block->watches) self.problem.watch = &self.watch;
-        self.watch.problem = &self.problem;
         self.watch.switching = &self.switching;
-        self.watch.laws = laws_of_model(&self.watch.owner);
+        link_to_model(&self.problem, &self.watch, block->sizes + i * NX, arg, res, iw, w);
         memcpy(self.x, block->x + i * NX, NX * sizeof *self.x);
         memcpy(self.z, block->z + i * NZ, NZ * sizeof *self.z);
         memcpy(self.u, block->u + i * NU, NU * sizeof *self.u);
