@@ -57,13 +57,11 @@ static inline void write_present(BlockRun *self) {
 static inline void plan_run(BlockRun *self, const Point *at) {
     const double stop = self->block->times[self->block->points - 1];
     plan(&self->watch.laws, &self->switching, at, self->t, stop, true, NEVER_AGAIN);
-    const bool near = self->switching.next <= stop + 8 * ulp(stop); /* but for rounding */
-    self->due = near ? fmin(self->switching.next, stop) : INFINITY;
+    self->due = next_until(&self->switching, stop);
 }
 
-/* Lets all happen that happens now; zero: relations of time that are due. Returns 0 where the run
- * goes on. */
-static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
+/* Lets all happen that happens now. Returns 0 where the run goes on. */
+static inline int let_happen(BlockRun *self, int crossing) {
     Watch *watch = &self->watch;
     double x[NX + 1], z[NZ + 1], u[NU + 1];
     const bool later[MODES + 1] = {0};
@@ -76,7 +74,7 @@ static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
     memcpy(u, self->u, sizeof u);
     happen(&watch->laws, watch->switching, &at, self->x, crossing, later, NULL, &found, &replan);
     if (found.ending.reason != GOES_ON || is_sliding(watch->switching)) return 1;
-    record_event(watch, &before, &at, zero, &found);
+    record_event(watch, &before, &at, &found);
     if (replan) plan_run(self, &at);
     write_present(self);
     return 0;
@@ -84,13 +82,12 @@ static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
 
 static inline int begin_run(BlockRun *self) {
     const Point at = {self->t, self->x, self->z, self->u};
-    const double none[MODES + 1] = {0};
     const Laws *laws = &self->watch.laws;
     Switching *switching = &self->switching;
     if (begin_modes(laws, switching, &at, self->block->span).reason != GOES_ON ||
         begin_events(laws, switching, &at).reason != GOES_ON || is_sliding(switching))
         return 1;
-    if (EVENTS > 0) return let_happen(self, -1, none);
+    if (EVENTS > 0) return let_happen(self, -1);
     plan_run(self, &at);
     write_present(self);
     return 0;
@@ -148,21 +145,13 @@ static inline int advance_run(BlockRun *self) {
     memcpy(self->x, rows + (n - 1) * NX, NX * sizeof *rows);
     memcpy(self->z, unknowns + (n - 1) * NZ, NZ * sizeof *rows);
     let_go_at_end(self);
-    double zero[MODES + 1] = {0};
-    if (end == due) {
-        const Switching *s = &self->switching;
-        for (int i = 0; i < MODES; ++i) zero[i] = fabs(s->due[i] - s->next) <= 8 * ulp(s->next);
-        return let_happen(self, -1, zero);
-    }
+    if (end == due) return let_happen(self, -1);
     const Point at = {self->t, self->x, self->z, self->u};
     Place place;
     const int leaving = margins_at(&self->watch.laws, &self->switching, &at, &place)
                             ? leaving_at(&self->switching, &place)
                             : -1;
-    if (leaving >= 0) {
-        zero[leaving] = 1;
-        return let_happen(self, leaving, zero);
-    }
+    if (leaving >= 0) return let_happen(self, leaving);
     write_present(self);
     return 0;
 }
