@@ -7,7 +7,7 @@
 
 #include "fmu.h"
 
-/* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/compiled_run.py. */
+/* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/c_structures.py. */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
 
 static const double EXACT = 0x1p53; /* doubles below it hold every integer */

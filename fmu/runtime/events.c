@@ -23,7 +23,7 @@ static const char *relation_that_switched(const Instance *self, const Happening 
 static void log_happening(Instance *self, const Happening *found) {
     const double t = self->state.values[TIME];
     for (int k = 0; k < found->count; k++)
-        log_text(self, OK, "at %.17g s: %s", t, rule_names[found->happened[k].rule]);
+        log_text(self, OK, "at %.17g s: %s", t, rule_names[found->happened[k]]);
     for (int i = 0; found->count == 0 && i < MODES; i++)
         if (relation_table[i].in_laws && self->state.values[FIRST_MODE + i] != found->modes[i])
             log_text(self, OK, "at %.17g s: %s", t, relation_names[i]);

@@ -57,13 +57,11 @@ static inline void write_present(BlockRun *self) {
 static inline void plan_run(BlockRun *self, const Point *at) {
     const double stop = self->block->times[self->block->points - 1];
     plan(&self->watch.laws, &self->switching, at, self->t, stop, true, NEVER_AGAIN);
-    const bool near = self->switching.next <= stop + 8 * ulp(stop); /* but for rounding */
-    self->due = near ? fmin(self->switching.next, stop) : INFINITY;
+    self->due = next_until(&self->switching, stop);
 }
 
-/* Lets all happen that happens now; zero: relations of time that are due. Returns 0 where the run
- * goes on. */
-static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
+/* Lets all happen that happens now. Returns 0 where the run goes on. */
+static inline int let_happen(BlockRun *self, int crossing) {
     Watch *watch = &self->watch;
     double x[NX + 1], z[NZ + 1], u[NU + 1];
     const bool later[MODES + 1] = {0};
@@ -76,7 +74,7 @@ static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
     memcpy(u, self->u, sizeof u);
     happen(&watch->laws, watch->switching, &at, self->x, crossing, later, NULL, &found, &replan);
     if (found.ending.reason != GOES_ON || is_sliding(watch->switching)) return 1;
-    record_event(watch, &before, &at, zero, &found);
+    record_event(watch, &before, &at, &found);
     if (replan) plan_run(self, &at);
     write_present(self);
     return 0;
@@ -84,13 +82,12 @@ static inline int let_happen(BlockRun *self, int crossing, const double *zero) {
 
 static inline int begin_run(BlockRun *self) {
     const Point at = {self->t, self->x, self->z, self->u};
-    const double none[MODES + 1] = {0};
     const Laws *laws = &self->watch.laws;
     Switching *switching = &self->switching;
     if (begin_modes(laws, switching, &at, self->block->span).reason != GOES_ON ||
         begin_events(laws, switching, &at).reason != GOES_ON || is_sliding(switching))
         return 1;
-    if (EVENTS > 0) return let_happen(self, -1, none);
+    if (EVENTS > 0) return let_happen(self, -1);
     plan_run(self, &at);
     write_present(self);
     return 0;
@@ -148,21 +145,13 @@ static inline int advance_run(BlockRun *self) {
     memcpy(self->x, rows + (n - 1) * NX, NX * sizeof *rows);
     memcpy(self->z, unknowns + (n - 1) * NZ, NZ * sizeof *rows);
     let_go_at_end(self);
-    double zero[MODES + 1] = {0};
-    if (end == due) {
-        const Switching *s = &self->switching;
-        for (int i = 0; i < MODES; ++i) zero[i] = fabs(s->due[i] - s->next) <= 8 * ulp(s->next);
-        return let_happen(self, -1, zero);
-    }
+    if (end == due) return let_happen(self, -1);
     const Point at = {self->t, self->x, self->z, self->u};
     Place place;
     const int leaving = margins_at(&self->watch.laws, &self->switching, &at, &place)
                             ? leaving_at(&self->switching, &place)
                             : -1;
-    if (leaving >= 0) {
-        zero[leaving] = 1;
-        return let_happen(self, leaving, zero);
-    }
+    if (leaving >= 0) return let_happen(self, leaving);
     write_present(self);
     return 0;
 }
@@ -176,23 +165,12 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         double *report = block->report + i * BLOCK_REPORT;
         BlockRun self = {
             .block = block,
-            .problem = {.rhs = solver.rhs,
-                        .project = solver.project,
-                        .c = block->c + i * NC,
-                        .arg = arg + 4,
-                        .res = res + 2,
-                        .iw = iw,
-                        .w = w,
+            .problem = {.c = block->c + i * NC,
                         .relative = block->relative,
                         .absolute = block->absolute,
                         .nominal = block->nominal + i * NX,
                         .leaves_stiff = block->leaves_stiff != 0},
-            .watch = {.watch = solver.watch,
-                      .owner = {block->c + i * NC, block->sizes + i * NX, NULL, arg + 4, res + 2,
-                                iw, w, NULL, NULL},
-                      .records = records,
-                      .last_record = last,
-                      .relation = -1},
+            .watch = {.records = records, .last_record = last},
             .t = block->times[0],
             .due = INFINITY,
             .states = block->states + i * block->points * NX,
@@ -202,9 +180,8 @@ SHARED void cosim_block(const Block *block, const double **arg, double **res, lo
         self.problem.z = self.z;
         self.problem.u = self.u;
         if (block->watches) self.problem.watch = &self.watch;
-        self.watch.problem = &self.problem;
         self.watch.switching = &self.switching;
-        self.watch.laws = laws_of_model(&self.watch.owner);
+        link_to_model(&self.problem, &self.watch, block->sizes + i * NX, arg, res, iw, w);
         memcpy(self.x, block->x + i * NX, NX * sizeof *self.x);
         memcpy(self.z, block->z + i * NZ, NZ * sizeof *self.z);
         memcpy(self.u, block->u + i * NU, NU * sizeof *self.u);

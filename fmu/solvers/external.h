@@ -25,54 +25,35 @@ typedef struct {
 
 static const Solver solver;
 
-enum { REPORT = 6 };
+enum { REPORT = 9 };
 
 static _Thread_local double report[REPORT];
 
 /* What the thread's last run took and where it ended: steps, right-hand sides, Jacobians, code,
- * time, step size. */
+ * time, step size, how many output times it reached, the relation at whose crossing it ended or -1,
+ * how many events it has recorded. */
 SHARED void cosim_report(double *out) {
     memcpy(out, report, sizeof report);
 }
 
-static _Thread_local long long passed;
-
-/* How many output times the thread's last run reached. */
-SHARED long long cosim_passed(void) {
-    return passed;
-}
-
-static _Thread_local int relation;
-
-/* The relation at whose crossing the thread's last run ended; -1 if it ended elsewhere. */
-SHARED int cosim_relation(void) {
-    return relation;
-}
-
 static _Thread_local double *first_record, *switching;
 static _Thread_local const double *sizes_of_states;
-static _Thread_local long long room, recorded;
+static _Thread_local long long room;
+static _Thread_local int leaves_stiff;
 
-/* Where the thread's runs record the events that they go through, and how many fit in there; what
- * past events have left; sizes of the states, in whose rounding an argument is 0. */
-SHARED void cosim_events(double *rows, long long count, double *left, const double *sizes) {
+/* Where the thread's next runs record the events that they go through, and how many fit in there;
+ * what past events have left; sizes of the states, in whose rounding an argument is 0; whether the
+ * runs end where they are found to be stiff. */
+SHARED void cosim_prepare(double *rows, long long count, double *left, const double *sizes,
+                          int leaves) {
     first_record = rows;
     room = count;
     switching = left;
     sizes_of_states = sizes;
-}
-
-static _Thread_local int leaves_stiff;
-
-/* Whether the thread's runs end where they are found to be stiff. */
-SHARED void cosim_leaves_stiff(int leaves) {
     leaves_stiff = leaves;
 }
 
-/* How many events the thread's last run has recorded. */
-SHARED long long cosim_recorded(void) {
-    return recorded;
-}
+enum { OWN_ARGUMENTS = 4, OWN_RESULTS = 2 }; /* of `run`; they come first in the work space */
 
 static inline void widen(long long *size, long long wanted) {
     if (wanted > *size) *size = wanted;
@@ -93,9 +74,26 @@ SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long
         widen(sz_iw, iw);
         widen(sz_w, w);
     }
-    *sz_arg += 4; /* ours come first */
-    *sz_res += 2;
+    *sz_arg += OWN_ARGUMENTS;
+    *sz_res += OWN_RESULTS;
     return failed;
+}
+
+/* Links a problem and what watches it to the model and to the caller's work space. */
+static inline void link_to_model(Problem *problem, Watch *watch, const double *sizes,
+                                 const double **arg, double **res, long long *iw, double *w) {
+    problem->rhs = solver.rhs;
+    problem->project = solver.project;
+    problem->arg = arg + OWN_ARGUMENTS;
+    problem->res = res + OWN_RESULTS;
+    problem->iw = iw;
+    problem->w = w;
+    watch->problem = problem;
+    watch->watch = solver.watch;
+    watch->owner =
+        (LawOwner){problem->c, sizes, NULL, problem->arg, problem->res, iw, w, NULL, NULL};
+    watch->laws = laws_of_model(&watch->owner);
+    watch->relation = -1;
 }
 
 /* Output times, positions of breaks among them, and inputs on the way to each of them. */
@@ -150,42 +148,37 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
     const Schedule schedule = {times,  times + points,         given ? arg[3] : none,
                                points, (long long)settings[1], given ? (long long)settings[2] : 1};
     Problem problem = {
-        .rhs = solver.rhs,
-        .project = solver.project,
         .z = z,
         .u = u,
         .c = c,
-        .arg = arg + 4,
-        .res = res + 2,
-        .iw = iw,
-        .w = w,
         .relative = settings[3],
         .absolute = settings[4],
         .nominal = nominal,
         .leaves_stiff = leaves_stiff,
     };
     Watch watch = {
-        .problem = &problem,
-        .watch = solver.watch,
-        .owner = {c, sizes_of_states, NULL, problem.arg, problem.res, iw, w},
         .switching = (Switching *)(void *)switching,
         .records = first_record,
         .last_record = schedule.columns > 1 ? first_record : first_record + room * RECORD,
-        .relation = -1,
     };
-    watch.laws = laws_of_model(&watch.owner);
+    link_to_model(&problem, &watch, sizes_of_states, arg, res, iw, w);
     if (solver.watch && switching) problem.watch = &watch;
     memcpy(z, arg[1] ? arg[1] : none, NZ * sizeof *z);
     memcpy(u, schedule.u, NU * sizeof *u);
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
     const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
-    const double seen[REPORT] = {
-        (double)problem.steps, (double)problem.calls, 0, code, course.reached, course.last};
+    const long long recorded = (watch.records - first_record) / RECORD;
+    const double seen[REPORT] = {(double)problem.steps,
+                                 (double)problem.calls,
+                                 0,
+                                 code,
+                                 course.reached,
+                                 course.last,
+                                 (double)course.passed,
+                                 (double)watch.relation,
+                                 (double)recorded};
     memcpy(report, seen, sizeof report);
-    passed = course.passed;
-    relation = watch.relation;
-    recorded = (watch.records - first_record) / RECORD;
     return code != SUCCESS;
 }
 

@@ -21,13 +21,12 @@ typedef struct {
     double *x, *z, *u;                /* with modes; after an instant, the values after it */
     const double *slopes, *c, *sizes; /* of the inputs with modes; constants; of the states */
     double *switching;                /* a `Switching` */
-    double *modes;                    /* before an instant */
     double *zero, *order;             /* of relations and rules, see Happening */
     double *later; /* relations that keep their modes, although their arguments are 0 */
     void (*note)(const double *z, const double *u, const double *x, const double *risen);
     long long reason, part, other, state; /* of the ending */
     double size;
-    long long replan, rounds;
+    long long replan;
 } Call;
 
 /* MotionRows of a motion, which is near a cubic from each to the next one. */
@@ -99,18 +98,17 @@ SHARED void cosim_happen(Call *call, long long crossing) {
            call->note ? &listener : NULL, &found, &replan);
     tell(call, &found.ending);
     call->replan = replan;
-    call->rounds = found.rounds;
-    memcpy(call->modes, found.modes, MODES * sizeof *call->modes);
     for (int i = 0; i < MODES; i++) call->zero[i] = found.zero[i];
     for (int i = 0; i < EVENTS; i++) call->order[i] = 0;
-    for (int k = 0; k < found.count; k++) call->order[found.happened[k].rule] = 1 + k;
+    for (int k = 0; k < found.count; k++) call->order[found.happened[k]] = 1 + k;
 }
 
-/* The next time event up to an end, after the present time. */
-SHARED void cosim_plan(Call *call, double end) {
+/* The next time event after the present time, up to the end of the run. */
+SHARED double cosim_plan(Call *call, double end) {
     Kernel self;
     open_kernel(&self, call);
     plan(&self.laws, self.switching, &self.at, call->t, end, true, NEVER_AGAIN);
+    return next_until(self.switching, end);
 }
 
 /* Margins and their rates of n rows of arguments, their rates, and modes. */

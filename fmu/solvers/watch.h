@@ -220,11 +220,12 @@ static inline void append(double **end, const double *values, int count) {
     *end += count;
 }
 
-/* Records what was before and after an instant; zero: relations whose arguments are 0 there. */
+/* Records what was before and after an instant. */
 static inline void record_event(Watch *self, const Point *before, const Point *after,
-                                const double *zero, const Happening *found) {
-    double *end = self->records, order[EVENTS + 1] = {0};
-    for (int k = 0; k < found->count; ++k) order[found->happened[k].rule] = 1 + k;
+                                const Happening *found) {
+    double *end = self->records, order[EVENTS + 1] = {0}, zero[MODES + 1];
+    for (int i = 0; i < MODES; ++i) zero[i] = found->zero[i];
+    for (int k = 0; k < found->count; ++k) order[found->happened[k]] = 1 + k;
     append(&end, &before->t, 1);
     append(&end, before->x, NX);
     append(&end, before->z, NZ);
@@ -242,7 +243,7 @@ static inline void record_event(Watch *self, const Point *before, const Point *a
  * caller of the run has to go on: where relations slide, time events change, or the run ends. */
 static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
     Problem *problem = self->problem;
-    double state[NX], z[NZ + 1], u[NU + 1], zero[MODES + 1];
+    double state[NX], z[NZ + 1], u[NU + 1];
     const bool later[MODES + 1] = {0};
     const Switching saved = *self->switching;
     const Point at = {crossing->time, x, problem->z, problem->u};
@@ -261,8 +262,7 @@ static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
         memcpy(problem->u, u, NU * sizeof *u);
         return 1;
     }
-    for (int i = 0; i < MODES; ++i) zero[i] = found.zero[i];
-    record_event(self, &before, &at, zero, &found);
+    record_event(self, &before, &at, &found);
     return 0;
 }
 

@@ -99,3 +99,13 @@ def test_stop_when_is_exact_at_equality(condition, end):
     model.every(0.1, {n: n + 1}, offset=0.1, name="tick")
     run = simulate(model.freeze(), "dop853", stop_when=condition)
     assert run.time[-1] == pytest.approx(end, abs=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "erk"])
+def test_a_relation_that_rests_does_not_share_the_events_of_others(solver):
+    model = Model("two", stop_time=2.0)
+    resting, falling = model.state("a", "m", 0.0, "rests"), model.state("b", "m", 1.0, "falls")
+    model.derivative(resting, -ca.fmax(resting, 0))
+    model.derivative(falling, -1 - ca.fmax(falling, 0))
+    (event,) = simulate(model.freeze(), solver, record_events=True).events
+    assert event.name == "fmax of (-b)"

@@ -17,19 +17,14 @@ static const double WORSE = 10;       /* ... or so many times the one before */
 
 enum { ROOM_OF_INSTANT = 256 }; /* events that are recorded; what has more is an error */
 
-/* A rule that happened, and in which round of its instant, from 1 on. */
-typedef struct {
-    int rule, round;
-} Happened;
-
 /* All that happened at an instant. */
 typedef struct {
     Ending ending;
     int count, rounds;
     bool states_changed, modes_changed;
-    Happened happened[ROOM_OF_INSTANT];
-    double modes[MODES + 1]; /* before */
-    bool zero[MODES + 1];    /* arguments that were 0 before the first assignment */
+    int happened[ROOM_OF_INSTANT]; /* rules, in their order */
+    double modes[MODES + 1];       /* before */
+    bool zero[MODES + 1];          /* arguments that became 0 before the first assignment */
 } Happening;
 
 /* What a caller wants to know of each round: the values before its assignments. */
@@ -103,11 +98,14 @@ static inline void samples_at(const Laws *laws, const Switching *s, const Point 
 
 /* -- an instant ------------------------------------------------------------------------------- */
 
-/* Which arguments are 0, and which relations no longer slide. Returns how far arguments have moved
- * since the last event, in roundings; -1 without a value. */
+/* Which arguments are 0, and which relations no longer slide; `reached`: those that rest there are
+ * left out. Returns how far arguments have moved since the last event, in roundings; -1 without a
+ * value. */
 static inline double find_switched(const Laws *laws, Switching *s, const Point *at, int crossing,
-                                   const bool later[], bool zero[], bool decided[]) {
+                                   const bool later[], bool zero[], bool decided[],
+                                   bool reached[]) {
     double *modes = modes_of(at), inside[MODES + 1], rates[MODES + 1], way = 0;
+    bool rests[MODES + 1] = {0};
     Seen seen;
     if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
@@ -129,7 +127,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             zero[i] = decided[i] = !moved;
             if (moved) s->beyond[i] = 0;
         } else if (is_held(laws, s, &seen, i)) {
-            zero[i] = true;
+            zero[i] = rests[i] = true;
         } else if (relation->of_time) {
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {
@@ -143,9 +141,11 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             const bool moved = laws->blind && relation->of_input && beyond &&
                                rates[i] >= -ROUNDING * seen.sizes[i];
             zero[i] = (i == crossing || crossed) && !moved;
+            rests[i] = i != crossing && !(rates[i] < 0);
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }
+    for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }
 
@@ -257,13 +257,13 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
         const bool any = find_risen(laws, s->conditions, rules.conditions, risen);
         memcpy(s->conditions, rules.conditions, EVENTS * sizeof *s->conditions);
         if (!any) return reject_staying(laws, s, at, happened, zero);
-        const int last = found->count ? found->happened[found->count - 1].rule : -1;
+        const int last = found->count ? found->happened[found->count - 1] : -1;
         if (found->rounds++ == MOST_ROUNDS) return ending(TOO_MANY_ROUNDS, last);
         for (int i = 0; i < EVENTS; i++) {
             if (!risen[i]) continue;
             if (found->count == ROOM_OF_INSTANT) return ending(TOO_MANY_ROUNDS, i);
             happened[i] = true;
-            found->happened[found->count++] = (Happened){i, found->rounds};
+            found->happened[found->count++] = i;
         }
         if (listener) listener->note(listener->listener, at, risen);
         Ending ends = assign(laws, s, at, &rules, risen, x, zero);
@@ -298,13 +298,13 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
     found->states_changed = found->modes_changed = *replan = false;
     memcpy(before, x, NX * sizeof *x);
     memcpy(found->modes, modes, MODES * sizeof *modes);
+    memset(found->zero, 0, sizeof found->zero);
     if (s->stopped > 0) {
         found->ending = ending(STOPPED, -1);
         return;
     }
     const bool timed = s->next <= t && s->next != NOT_PLANNED;
-    const double way = find_switched(laws, s, at, crossing, later, zero, decided);
-    memcpy(found->zero, zero, sizeof zero);
+    const double way = find_switched(laws, s, at, crossing, later, zero, decided, found->zero);
     found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided);
     if (found->ending.reason == GOES_ON)
         found->ending = iterate(laws, s, at, x, later, zero, listener, found);
@@ -319,7 +319,7 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
     found->states_changed = memcmp(before, x, NX * sizeof *x) != 0;
     const bool any = found->count > 0 || found->modes_changed;
     if (!any || timed || found->ending.reason == STOPPED) return;
-    const int last = found->count ? found->happened[found->count - 1].rule : -1;
+    const int last = found->count ? found->happened[found->count - 1] : -1;
     found->ending = reject_zeno(s, t, last, way);
 }
 

@@ -62,6 +62,11 @@ static inline bool is_due(const Switching *s, int i, double t) {
     return (s->due[i] == JUMPS ? s->next : s->due[i]) <= t + 8 * DBL_EPSILON * fabs(t);
 }
 
+/* The next time event of a run that ends at a time, but for rounding; infinite: none. */
+static inline double next_until(const Switching *s, double end) {
+    return s->next <= end + 8 * ulp(end) ? fmin(s->next, end) : INFINITY;
+}
+
 static inline bool is_sliding(const Switching *s) {
     for (int i = 0; i < MODES; i++)
         if (s->state[i] == SLIDES) return true;

@@ -14,7 +14,7 @@ import casadi as ca
 from cosim.codegen.c_sources import solver_source
 from cosim.errors import UsageError
 
-REPORT = 6  # numbers that `cosim_report` writes
+REPORT = 9  # numbers that `cosim_report` writes; the last three in fmu/solvers/external.h only
 _PATCHES = tomllib.loads(
     Path(__file__).with_name("casadi_patches.toml").read_text(encoding="utf-8")
 )
@@ -23,7 +23,7 @@ _PATCHES = tomllib.loads(
 def watched(code: str) -> str:
     """Add functions that report on an integration and that let signals stop it.
 
-    `void cosim_report(double out[6])` writes statistics of the thread's last run: steps,
+    `void cosim_report(double out[9])` writes statistics of the thread's last run: steps,
     right-hand sides, Jacobians, the driver's status (0: success), final time, last step size.
     After `void cosim_watch(int of_command)`, signals stop runs at their next right-hand side, and
     `int cosim_halted(void)` returns the signal; see fmu/solvers/interrupt.h.

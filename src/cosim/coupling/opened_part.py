@@ -141,9 +141,6 @@ class OpenedPart:
                 Recorded(instance, self.description, variables)
                 for variables in (self.inputs, self.outputs)
             )
-        instance.logged_events.clear()
-        instance.log_texts.clear()
-        instance.violations.clear()
         begin_initialization(self.instance, self.description, values, **experiment)
 
     def feeds(self) -> NDArray[np.int64]:

@@ -152,7 +152,7 @@ class Engine:
         repeat_u: Whether `u` has one column per output time.
         counts: Returns the counts of the thread's last call.
         library: A library that runs as one C function and handles Ctrl-C itself
-            (fmu/solvers/interrupt.c); None if CasADi handles it.
+            (fmu/solvers/interrupt.h); None if CasADi handles it.
         selected: Columns of the results that are at the problem's output times; all when None.
         restart: Builds, from dx/dt at the start, (nx,), an engine for consistent initial values at
             which this one fails; None if there is no such engine.
@@ -204,7 +204,7 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
 
     def counts() -> Counts:
         library.cosim_report(numbers)
-        steps, rhs, jacobians, status, reached, last = numbers
+        steps, rhs, jacobians, status, reached, last, *_ = numbers
         cause = Ending()
         if status not in (0, _EVENT):
             why = CAUSES.get(int(status), "it gave up")

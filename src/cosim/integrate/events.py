@@ -174,7 +174,7 @@ class _Course:
         reject(self.system, at.t, ending, "")
         self.at = self.kernel.after(at)
         if self.system.events:
-            self._switch(self.at, frozenset())
+            self._switch(self.at)
         else:
             self._plan()
 
@@ -254,7 +254,7 @@ class _Course:
             self._accept(piece, event.t)
             due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
             self.window = max(self.least_window, min(self.window, due_rows))
-            self._switch(event, found.crossing, found.first)
+            self._switch(event, found.first)
             return Ending()
         if piece.reason:
             self._accept(piece, np.inf)
@@ -269,9 +269,9 @@ class _Course:
         arrived = replace(piece.at_end(), t=end)
         if end in (due, jump, rest):
             following = self._with_inputs(arrived) if end in (jump, rest) else arrived
-            self._switch(following, self._due_relations() if end == due else frozenset())
+            self._switch(following)
         elif last_event := located_at_end(piece):
-            self._switch(last_event.at, last_event.crossing, last_event.first)
+            self._switch(last_event.at, last_event.first)
         else:
             self.at = self._with_inputs(arrived)
             self._write(end)
@@ -332,13 +332,12 @@ class _Course:
             self.at = passed[-1].after
         self._accept(piece, self.at.t, len(passed))
 
-    def _switch(self, at: Instant, crossing: frozenset[int], first: int = -1) -> None:
+    def _switch(self, at: Instant, first: int = -1) -> None:
         """Let all happen that happens at an instant.
 
         Args:
             at: The instant just before, with the inputs just after it.
-            crossing: Relations whose arguments are 0, or that no longer slide.
-            first: The one of them that was located; -1 for none.
+            first: The relation that was located there; -1 for none.
         """
         if self.kernel is None:
             self.at = at
@@ -348,12 +347,12 @@ class _Course:
             return
         if self.dae.derived:
             slid = self.at.sliding if (at.u == self.at.u).all() else frozenset[int]()
-            self.at, happened = crossed(self.kernel, self.values.p, at, crossing, first, slid)
+            self.at, happened = crossed(self.kernel, self.values.p, at, first, slid)
         else:
             happened = self.kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first)
             self.at = self.kernel.after(at)
-        switched = crossing | at.switched(self.at)
-        instant = Passed(at, self.at, happened.events, crossing)
+        switched = happened.zero | at.switched(self.at)
+        instant = Passed(at, self.at, happened.events, happened.zero)
         self.events += records_of(self.system, [instant], len(self.instants))
         self.instants.append((at, self.at))
         self._end(happened.ending, switched)
@@ -372,16 +371,7 @@ class _Course:
         """Find the next time event."""
         assert self.kernel is not None
         end = float(self.grid[-1])
-        due = self.kernel.plan(self.at.t, self.at.inputs, end)
-        near = due <= end + 8 * np.spacing(abs(end))  # but for rounding
-        self.due = min(due, end) if near else np.inf
-
-    def _due_relations(self) -> frozenset[int]:
-        """Return the relations that switch at the next time event, unless their arguments jump."""
-        assert self.kernel is not None
-        switching = self.kernel.switching
-        near = np.abs(switching.due - switching.next) <= 8 * np.spacing(abs(switching.next))
-        return frozenset(np.flatnonzero(near).tolist())
+        self.due = self.kernel.plan(self.at.t, self.at.inputs, end)
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""

@@ -21,7 +21,6 @@ from cosim.memo import cached_per_thread
 _DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
 _PLACE = ctypes.c_void_p
 _NOTE = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(_DOUBLE)] * 4)
-NEVER = float(np.finfo(float).max)  # the time of an event that does not come
 
 
 class _Call(ctypes.Structure):
@@ -83,7 +82,7 @@ class Happening(NamedTuple):
     Attributes:
         ending: How it ended.
         events: Positions of the events that happened, in their order.
-        zero: Relations whose arguments were 0.
+        zero: Relations whose arguments became 0.
         replan: Whether the next time event has to be found anew.
     """
 
@@ -142,29 +141,16 @@ class Switching:
         return self._row(4)
 
     @property
-    def due(self) -> Vector:
-        """When relations of time alone switch next, s, (m,)."""
-        return self._row(5)
-
-    @property
-    def next(self) -> float:
-        """The next time event, s; `NEVER` if there is none."""
-        return float(self.numbers[-6])
-
-    @property
     def sliding(self) -> frozenset[int]:
         """Relations whose arguments stay 0 because their modes make them so."""
         return frozenset(np.flatnonzero(self.states == State.SLIDES).tolist())
-
-    def copy(self) -> "Switching":
-        """Return a copy that later events do not change."""
-        return Switching(self.numbers.copy(), self.modes)
 
 
 @cached_per_thread(16)
 def _library(system: Hybrid) -> tuple[ctypes.CDLL, int]:
     """Return the library of a model, and how many numbers its `Switching` has."""
     library = ctypes.CDLL(kernel_library(system))
+    library.cosim_plan.restype = _DOUBLE
     sizes = (_LONG * 8)()
     library.cosim_kernel_sizes(sizes)
     dae = system.dae
@@ -200,7 +186,6 @@ class Kernel:
             "c": np.append(p, 0.0),
             "sizes": np.append(sizes, 0.0),
             "switching": np.zeros(count),
-            "modes": np.zeros(m + 1),
             "zero": np.zeros(m + 1),
             "later": np.zeros(m + 1),
             "order": np.zeros(len(system.events) + 1),
@@ -284,11 +269,17 @@ class Kernel:
         return replace(at, x=x, z=z, modes=u[len(at.u) :], sliding=self.switching.sliding)
 
     def plan(self, t: float, u: Vector, end: float) -> float:
-        """Return the time of the next time event up to an end, s; `NEVER` if there is none."""
+        """Return the next time event of a run, s; infinite if there is none.
+
+        Args:
+            t: The present time, s.
+            u: Inputs with modes.
+            end: End of the run, s.
+        """
         self._call.t = t
         self._arrays["u"][:-1] = u
-        self._library.cosim_plan(ctypes.byref(self._call), _DOUBLE(end))
-        return self.switching.next
+        due: float = self._library.cosim_plan(ctypes.byref(self._call), _DOUBLE(end))
+        return due
 
     def margins(self, arguments: Vector, rates: Vector, modes: Vector) -> tuple[Vector, Vector]:
         """Return how far each relation is within its mode, and the rate of that, (n, m) each.

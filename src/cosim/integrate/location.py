@@ -38,12 +38,10 @@ class Located(NamedTuple):
 
     Attributes:
         at: The instant just before it.
-        crossing: Relations whose arguments become 0 there, or that no longer slide.
-        first: The one of them that was located.
+        first: The relation whose argument becomes 0 there, or that no longer slides.
     """
 
     at: Instant
-    crossing: frozenset[int]
     first: int
 
 
@@ -451,12 +449,8 @@ def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Loc
 
 
 def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Located:
-    """Return the event of a relation at a known time and state, with others that are 0 there."""
-    inside, towards = piece.margins(seen)
-    tolerance = 8 * np.spacing(abs(t)) * np.abs(towards[0])
-    near = np.flatnonzero((np.abs(inside[0]) <= tolerance) & (towards[0] < 0))
-    zero = frozenset(near.tolist()) | {i}
-    return Located(piece.instant(t, x, seen.unknowns[0], seen.solved[0]), zero, i)
+    """Return the event of a relation at a known time and state."""
+    return Located(piece.instant(t, x, seen.unknowns[0], seen.solved[0]), i)
 
 
 def _polished(

@@ -178,7 +178,7 @@ class Passed(NamedTuple):
     Attributes:
         before, after: Its instant.
         events: Positions of the model's events that happened there, in their order.
-        zero: Relations whose arguments were 0.
+        zero: Relations whose arguments became 0.
     """
 
     before: Instant

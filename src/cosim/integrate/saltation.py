@@ -40,12 +40,7 @@ def _along(system: Hybrid) -> Evaluator:
 
 
 def crossed(
-    kernel: Kernel,
-    p: Vector,
-    at: Instant,
-    crossing: frozenset[int],
-    first: int,
-    slid: frozenset[int],
+    kernel: Kernel, p: Vector, at: Instant, first: int, slid: frozenset[int]
 ) -> tuple[Instant, Happening]:
     """Let all happen that happens at an instant, with the derivatives of the states.
 
@@ -53,18 +48,19 @@ def crossed(
         kernel: The kernel of the run.
         p: Parameters.
         at: The instant just before.
-        crossing: Relations whose arguments are 0, or that no longer slide.
-        first: One of them; -1 for none.
+        first: The relation that was located there; -1 for none.
         slid: Relations that have slid before along the same inputs.
 
     Raises:
         SolverError: Events happen at one time, and the derivatives depend on their order.
     """
-    if len(crossing) < 2:
-        i = first if first >= 0 else min(crossing, default=-1)
-        found, happened = _one(kernel, p, at, i, frozenset())
+    switching = kernel.switching.numbers.copy()
+    zero = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first).zero
+    kernel.switching.numbers[:] = switching
+    order = sorted(zero | ({first} if first >= 0 else frozenset()))
+    if len(order) < 2:
+        found, happened = _one(kernel, p, at, next(iter(order), -1), frozenset())
         return slid_derivatives(kernel.system, found, p, slid), happened
-    switching, order = kernel.switching.numbers.copy(), sorted(crossing)
     other, _ = _in_order(kernel, p, at, order[::-1])
     kernel.switching.numbers[:] = switching
     found, happened = _in_order(kernel, p, at, order)

@@ -110,9 +110,6 @@ class OpenedFmu:
                 "intermediateUpdate": lambda _, time, asks, *__: asks and instance.answer(time),
             }
         instance, explained = self.ready()
-        instance.logged_events.clear()
-        instance.log_texts.clear()
-        instance.violations.clear()
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
@@ -156,7 +153,10 @@ class OpenedFmu:
         return self._master.run(request)
 
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
-        """Return a fresh or reset instance, and a function that adds the FMU's log to an error."""
+        """Return an instance, fresh or reset, and a function that adds its log to an error.
+
+        What it has logged before is forgotten.
+        """
         if not self.reset_is_enough:
             self._drop()
         if self._instance is None:
@@ -169,7 +169,10 @@ class OpenedFmu:
             except Exception as error:
                 self._drop()
                 raise explained(error) from error
-        return self._instance
+        instance, explained = self._instance
+        for texts in (instance.logged_events, instance.log_texts, instance.violations):
+            texts.clear()
+        return instance, explained
 
     def _drop(self) -> None:
         self._live.close()

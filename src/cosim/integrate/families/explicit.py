@@ -166,6 +166,9 @@ def _projection(dae: Dae, inputs: InputSeries | None, constants: int) -> ca.Func
     return ca.Function("project", symbols, [projected, change])
 
 
+_NO_EVENTS = None, ctypes.c_longlong(0), None, None
+
+
 class DirectCall:
     """Call of a compiled integration on arrays; not thread-safe, as it has one work space.
 
@@ -185,8 +188,8 @@ class DirectCall:
             room = room_for_events(system)
             # others need what only the caller knows
             self._events = room[:0] if system.sliding or system.dae.derived else room
-        library.cosim_passed.restype = library.cosim_recorded.restype = ctypes.c_longlong
         self._work = work_space(library)
+        self._report = (ctypes.c_double * REPORT)()
         self.leaves_stiff = False
         self._p: bytes | None = None
         self._c = np.empty(constants.numel_out(0))
@@ -217,22 +220,18 @@ class DirectCall:
         if events is not None and left is not None:
             count = ctypes.c_longlong(len(events))
             places = (ctypes.c_void_p(a.ctypes.data) for a in (events, left.switching, left.sizes))
-            library.cosim_events(next(places), count, *places)
+            library.cosim_prepare(next(places), count, *places, self.leaves_stiff)
         else:
-            library.cosim_events(None, ctypes.c_longlong(0), None, None)
-        library.cosim_leaves_stiff(self.leaves_stiff)
+            library.cosim_prepare(*_NO_EVENTS, self.leaves_stiff)
         failed = self._run(arguments, results, integers, doubles, 0)
-        library.cosim_leaves_stiff(False)
-        passed = None if events is None else events[: library.cosim_recorded()].copy()
+        library.cosim_prepare(*_NO_EVENTS, False)
+        library.cosim_report(self._report)
+        *_, time, _, passed, relation, recorded = self._report
+        found = None if events is None else events[: int(recorded)].copy()
         if not failed:
-            return Filled(True, len(states), None, passed)
-        relation = library.cosim_relation()
-        if relation < 0:
-            return Filled(False, library.cosim_passed(), None, passed)
-        numbers = (ctypes.c_double * REPORT)()
-        library.cosim_report(numbers)
-        crossing = numbers[4], relation
-        return Filled(True, library.cosim_passed(), crossing, passed)
+            return Filled(True, len(states), None, found)
+        crossing = None if relation < 0 else (time, int(relation))
+        return Filled(crossing is not None, int(passed), crossing, found)
 
 
 def _with_samples(grid: Vector, samples: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
