@@ -10,7 +10,7 @@ from inspect import isfunction, signature
 from typing import Any, TypeVar
 
 from casadi_models import CATALOG
-from cosim.text import Ending, readable, shortened, visible
+from cosim.text import Ending, EndKind, readable, shortened, visible
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 _Class = TypeVar("_Class")
@@ -104,10 +104,10 @@ class SolverError(CosimError):
         self.partial, self.ending = partial, ending or Ending(message)
 
     @classmethod
-    def of(cls, owner: str, *ending: str) -> SolverError:
+    def of(cls, owner: str, *ending: str, kind: EndKind = EndKind.FAILED) -> SolverError:
         """Return the error of a model: why a run cannot go on, and what helps."""
         why, remedy = ending if len(ending) > 1 else (*ending, "")
-        found = Ending(why, remedy=remedy)
+        found = Ending(why, kind, remedy)
         return cls(f"{owner}: {found}", ending=found)
 
 

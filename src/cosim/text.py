@@ -88,6 +88,7 @@ class EndKind(StrEnum):
     TOO_MANY_STEPS = "too many steps"
     STIFF = "stiff"  # for a solver that then leaves the run to another one
     INVALID = "invalid"  # a validity condition
+    EVENT = "event"  # one without a result, which is so with every solver
     FAILED = "failed"
 
 

@@ -132,7 +132,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
         } else {
             const double speed = fabs(rates[i]) * scale, gap = inside[i] - s->slack[i];
-            const double ahead = fmax(8 * DBL_EPSILON * speed, -rates[i] * wait);
+            const double ahead = fmax(LOCATED * speed, -rates[i] * wait);
             const bool crossed = gap <= ahead && gap >= -SAME_TIME * speed - 2 * s->slack[i];
             /* where rates of inputs are unknown, an argument that has passed its boundary against
              * the known rate has been moved there, and its value decides */

@@ -21,6 +21,7 @@ typedef struct {
     double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
     double slack[MODES + 1];  /* by which rounding moves an argument */
     double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
+    double least[MODES + 1];  /* as slack, where states are as small as they are now */
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
@@ -40,6 +41,8 @@ _Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it 
 
 static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
 static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
+static const double LOCATED = 128 * DBL_EPSILON; /* the same of events of states, as rounding of the
+                                                    steps of a long run adds up */
 
 /* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
 static inline double time_scale(const Switching *s, double t) {

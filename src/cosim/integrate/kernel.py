@@ -17,6 +17,7 @@ from cosim.errors import SolverError
 from cosim.integrate.engine import Left
 from cosim.integrate.modes import Instant
 from cosim.memo import cached_per_thread
+from cosim.text import EndKind
 
 _DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
 _PLACE = ctypes.c_void_p
@@ -423,4 +424,4 @@ def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
             ]
         case _:
             return
-    raise SolverError.of(system.dae.full_name, *why)
+    raise SolverError.of(system.dae.full_name, *why, kind=EndKind.EVENT)

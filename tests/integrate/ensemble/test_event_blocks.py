@@ -167,6 +167,26 @@ def test_runs_that_slide_or_stop_have_the_solver_of_the_blocks():
             np.testing.assert_array_equal(many.run(i).values, one.values)
 
 
+def test_runs_that_the_model_ends_are_not_repeated_by_another_solver():
+    falls = event_models.ball(stop_time=6.0)  # it comes to rest after 2.6 s
+    model = Model("limited", stop_time=2.0)
+    h = model.state("h", "m", 1.0, "height")
+    model.derivative(h, ca.if_else(h > 2, 2.0, 3.0))
+    model.limit(4 - h, "above the roof")
+    for dae, options, why in [
+        (falls, {}, "'impact' happens ever faster before 2.5"),
+        (model.freeze(), {"on_invalid": "stop"}, "above the roof"),
+    ]:
+        options |= {"output_interval": 0.1}
+        many = cosim.simulate_many(dae, {"h": [1.0, 1.0]}, **options)
+        with pytest.raises(SolverError, match=why) as caught:
+            cosim.simulate(dae, start_values={"h": 1.0}, solver="dop853", **options)
+        one = caught.value.partial
+        assert many.notes == {}
+        assert why in many.reason(0)
+        np.testing.assert_array_equal(many.values[0][: len(one)], one.values)
+
+
 def test_a_stiff_run_ends_at_once_where_its_solver_may_leave_it():
     with pytest.raises(SolverError, match=r"stiff at t = 0\.3") as caught:
         cosim.simulate(stuck(), solver=NonStiffDop853())

@@ -35,11 +35,13 @@ from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory
 from cosim.model.many_values import ManyValues
 from cosim.model.request import RunRequest
 from cosim.model.values import Values, own_sizes
+from cosim.text import EndKind
 from cosim.trajectory import Trajectory
 
 _NUMBERS = 500_000  # of the rows of a block
 _MOST_TIMES = 10_000  # of a run; so many more are integrated in windows
 _LEFT_ALONE, _COMPLETE, _NOT_BEGUN = 0, 1, 2  # codes of fmu/solvers/block.h
+_ENDS_OF_MODELS = EndKind.EVENT, EndKind.INVALID
 
 
 class _Block(ctypes.Structure):
@@ -157,10 +159,18 @@ class EventBlocks:
         return self._ready.pop(position, None)
 
     def _alone(self, position: int) -> Row | None:
-        """Return a run by `run` with the solver of the blocks; None if that fails."""
+        """Return a run by `run` with the solver of the blocks; None if that fails.
+
+        Raises:
+            SolverError: The model ends the run, which no other solver changes.
+        """
         try:
             found = run(replace(self._request, values=self._own(position)))
-        except (SolverError, InitialConditionError, CompilerTimeout):
+        except SolverError as error:
+            if error.ending.kind in _ENDS_OF_MODELS:
+                raise
+            return None
+        except (InitialConditionError, CompilerTimeout):
             return None
         time = self._prepared.problem.grid
         if self._prepared.rows is not None:
@@ -195,7 +205,9 @@ class EventBlocks:
             motion = Motion(dae, grid, states, unknowns, inputs, counts, solve_time=time)
             events = self._records[ends[k] - int(report[k, 3]) : ends[k]]
             found = self._finished(going[k], motion, Values(x[k], p[k], u[k]), events)
-            if found is not None:
+            if found is None:
+                self._left.add(going[k])
+            else:
                 self._ready[going[k]] = found
 
     def _call(self, x: Vector, z: Vector, u: Vector, p: Vector) -> tuple[list[Vector], Vector]:
