@@ -67,7 +67,7 @@ def _fits(value: Any, kind: Any) -> bool:
     if kind == ArrayLike:
         return _is_numeric(value)
     if own in (Union, UnionType):
-        return any(_fits(value, each) for each in inner)
+        return any(_fits(value, each) for each in _alternatives(inner))
     if own in (None, NoneType):
         return value is None
     if own is bool:
@@ -83,12 +83,26 @@ def _fits(value: Any, kind: Any) -> bool:
         )
     if own in _MANY:
         parts = inner[:1] if own is not tuple or inner[1:] == (...,) else ()
-        return _is_iterable(value) and all(_fits(part, each) for each in parts for part in value)
+        return _is_iterable(value, parts) and all(
+            _fits(part, each) for each in parts for part in value
+        )
     if own is Callable:
         return callable(value)
     if own in (IO, TextIO, BinaryIO):  # of which no file is an instance
         return hasattr(value, "read") or hasattr(value, "write")
-    return not isclass(own) or getattr(own, "_is_protocol", False) or isinstance(value, own)
+    return not isclass(own) or getattr(own, "_is_protocol", False) or _is_one(value, own)
+
+
+def _alternatives(kinds: tuple[Any, ...]) -> list[Any]:
+    """Return the types of a union, in which what makes up `ArrayLike` is one type."""
+    arrays = get_args(ArrayLike)
+    if not {*arrays} <= {*kinds}:
+        return [*kinds]
+    return [ArrayLike, *(kind for kind in kinds if kind not in arrays)]
+
+
+def _is_one(value: Any, kind: type) -> bool:
+    return isinstance(value, kind) and (kind is not np.ndarray or _is_numeric(value))
 
 
 def _is_numeric(value: Any) -> bool:
@@ -98,9 +112,11 @@ def _is_numeric(value: Any) -> bool:
         return False
 
 
-def _is_iterable(value: Any) -> bool:
+def _is_iterable(value: Any, parts: tuple[Any, ...]) -> bool:
     if isinstance(value, str | bytes):
         return False
+    if isinstance(value, np.ndarray) and parts == (str,):
+        return value.dtype.kind in "UO"
     try:
         iter(value)
     except TypeError:
@@ -114,7 +130,7 @@ def _words(kind: Any) -> list[str]:
     if kind == ArrayLike:
         return ["numbers"]
     if own in (Union, UnionType):
-        return list(dict.fromkeys(word for each in inner for word in _words(each)))
+        return list(dict.fromkeys(word for each in _alternatives(inner) for word in _words(each)))
     if own in _MANY:
         return ["a list of texts" if str in inner else "a list"]
     name = getattr(own, "__name__", str(own))

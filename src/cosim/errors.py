@@ -29,9 +29,10 @@ class CosimError(Exception):
     """
 
     exit_code = 1
+    has_lines = False
 
     def __init__(self, message: object = "") -> None:
-        super().__init__(readable(str(message)))
+        super().__init__(readable(str(message), lines=self.has_lines))
 
 
 class UsageError(CosimError):
@@ -42,7 +43,7 @@ class UsageError(CosimError):
     @classmethod
     def of_type(cls, call: str, value: object, expected: str) -> UsageError:
         """Say that a call was given something of a type that it cannot use."""
-        given = f"{' '.join(reprlib.repr(value).split())}, of type {type(value).__name__}"
+        given = f"{represented(value)}, of type {type(value).__name__}"
         return cls(f"{call} was given {given}; give {expected}")
 
     @classmethod
@@ -142,6 +143,7 @@ class MissingTool(CosimError):
     """A missing compiler or optional package; the message says how to install it."""
 
     exit_code = 5
+    has_lines = True  # of a compiler
 
 
 class CompilerTimeout(MissingTool):
@@ -150,6 +152,11 @@ class CompilerTimeout(MissingTool):
 
 class CacheError(MissingTool):
     """A folder for compiled code that cannot be used, or that others could write to."""
+
+
+def represented(value: object) -> str:
+    """Return a value in a message: one line of bounded length."""
+    return " ".join(reprlib.repr(value).split())
 
 
 def near_names(name: str, names: Iterable[str], most: int = 3) -> list[str]:
@@ -186,24 +193,31 @@ def naming_arguments(function: _Call) -> _Call:
         TypeError: The function has no such keyword.
         UsageError: An argument has a type that it cannot use.
     """
-    known, takes_any = dict[str, Any](), False
+    known, rest = dict[str, Any](), None
     for own, one in signature(function).parameters.items():
+        fields = getattr(one.annotation, "__args__", (None,))[0]
         if one.kind is not one.VAR_KEYWORD:
             known[own] = one.annotation
-        elif fields := getattr(one.annotation, "__args__", ()):  # Unpack[TypedDict]
-            known |= fields[0].__annotations__
+        elif hasattr(fields, "__required_keys__"):  # Unpack[TypedDict]
+            known |= fields.__annotations__
         else:
-            takes_any = True
+            rest = one.annotation
+    flags = [name for name, kind in known.items() if kind in (bool, "bool")]
 
     @wraps(function)
     def named(*values: Any, **keywords: Any) -> Any:
-        for name in () if takes_any else keywords.keys() - known:
+        more = keywords.keys() - known
+        for name in more if rest is None else ():
             near = [k for k, others in _ELSEWHERE.items() if name in others.split()]
             near = [k for k in near if k in known] if near else get_close_matches(name, known, 1)
             every = shortened([*known], 12) or "none"
             hint = f"did you mean {near[0]}?" if near else f"it has {every}"
             call = f"{function.__name__}() got an unexpected keyword argument"
             raise TypeError(readable(f"{call} '{name}'; {hint}"))
+        for name in flags:  # as a text like "no" would count as true
+            if type(keywords.get(name)).__name__ not in ("NoneType", "bool", "bool_"):
+                call = f"{function.__qualname__}: {name}"
+                raise UsageError.of_type(call, keywords[name], "True or False")
         try:
             return function(*values, **keywords)
         except CosimError:
@@ -211,7 +225,9 @@ def naming_arguments(function: _Call) -> _Call:
         except Exception as error:
             from cosim.argument_types import wrong_argument
 
-            if wrong := wrong_argument(function, known, values, keywords):
+            if wrong := wrong_argument(
+                function, known | dict.fromkeys(more, rest), values, keywords
+            ):
                 raise UsageError.of_type(*wrong) from error
             raise
 
@@ -221,7 +237,8 @@ def naming_arguments(function: _Call) -> _Call:
 def naming_arguments_of(kind: type[_Class]) -> type[_Class]:
     """Decorate the constructor and the public methods of a class by `naming_arguments`."""
     for name, method in list(vars(kind).items()):
-        if name != "__init__" and (name.startswith("_") or isinstance(method, staticmethod)):
+        own = name in ("__init__", "__getitem__") or not name.startswith("_")
+        if not own or isinstance(method, staticmethod):
             continue
         if isinstance(method, classmethod):
             setattr(kind, name, classmethod(naming_arguments(method.__func__)))

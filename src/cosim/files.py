@@ -64,6 +64,8 @@ def opened_plain(
     Raises:
         OSError: It is missing, no plain file, a link without `links`, or larger than `most_bytes`.
     """
+    if "\0" in os.fsdecode(source):  # a ValueError of Python's
+        raise OSError(errno.EINVAL, "its name holds a null character")
     facts = Path(source).stat(follow_symlinks=links)
     if stat.S_ISDIR(facts.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))

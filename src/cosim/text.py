@@ -44,9 +44,9 @@ def bounded(text: str, most: int = LONGEST_MESSAGE) -> str:
     return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
 
 
-def readable(message: str) -> str:
+def readable(message: str, *, lines: bool = True) -> str:
     """Return a visible message of bounded length, without the middle of endless texts and lists."""
-    shown = visible(message, lines=True)
+    shown = visible(message, lines=lines)
     return bounded(_ENDLESS.sub(lambda found: bounded(found[0], LONGEST_WORD), shown))
 
 

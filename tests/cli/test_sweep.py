@@ -61,6 +61,9 @@ def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
         (["-p", "omegaa=1,2"], 3, "omega"),
         (["-p", "omega=1:2"], 2, "ranges are for --design"),
         (["-p", "omega=1:2:1"], 2, "N of 2 or more"),
+        (["-p", "omega=1:2:99999999999"], 2, "N = 99999999999; give 10000000 or less"),
+        (["-p", "omega=1:2:9999999", "-p", "alpha=1:2:9999999"], 2, "give 10000000 or less"),
+        (["-p", "omega=1:2:²"], 2, "N of 2 or more"),
         (["-p", "omega"], 2, "write NAME="),
         (["-p", "omega=1 m"], 2, "omega"),
         (["--design", "sobol"], 2, "KIND:N"),
@@ -75,3 +78,9 @@ def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
 def test_wrong_options_exit_with_their_code_and_one_line(capsys, words, code, expected):
     assert main(["sweep", "crank_shaft", *words]) == code
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", ["1", "0", "²", "x", "1000000000", "9" * 5000])
+def test_count_of_values_along_which_to_linearize_is_checked(capsys, count):
+    assert main(["linearize", "crank_shaft", "--along", f"alpha=1:2:{count}"]) == 2
+    assert "N" in capsys.readouterr().err  # before: a minute's silence, or Python's own error

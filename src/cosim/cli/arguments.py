@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.errors import ParameterError, UsageError
@@ -17,7 +19,7 @@ from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.model.solver import LIMITS
 from cosim.model.start_outputs import overriding
-from cosim.model.values import settable_variable
+from cosim.model.values import settable_variable, whole
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import with_solver
@@ -175,6 +177,17 @@ def value_of_fmu(name: str, text: str) -> float | str:
     if _WHOLE.fullmatch(text):
         return int(text)
     return text if not _NUMBER_FIRST.match(text) else value_in(name, text, None)
+
+
+def spaced(where: str, first: float, last: float, count: str) -> list[float]:
+    """Return evenly spaced numbers.
+
+    Raises:
+        ParameterError: Their count is no whole number from 2 on, or too large.
+    """
+    if not _WHOLE.fullmatch(count) or int(count) < 2:
+        raise ParameterError(f"{where}: write NAME=A:B:N with N of 2 or more")
+    return [float(x) for x in np.linspace(first, last, whole(where, "N", int(count)))]
 
 
 def value_in(name: str, text: str, unit: str | None) -> float:

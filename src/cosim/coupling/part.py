@@ -19,10 +19,10 @@ from cosim.fmi.run.instance import (
     REALS,
     by_name,
     is_number,
-    may_be_set,
     read_description,
     unit_of,
 )
+from cosim.fmi.run.request import is_settable
 from cosim.fmi.run.typed_values import RANGES
 from cosim.fmi.units import Measured, change_of_units, units_for
 from cosim.integrate.keywords import named
@@ -169,8 +169,9 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     for name, variable in by_name(description).items():
         is_input = is_number(variable) and variable.causality == "input"
         source = is_number(variable) and variable.causality in ("output", "local")
-        start = is_number(variable) and may_be_set(variable)
-        start = start and variable.causality != "structuralParameter"  # sizes are those of the file
+        start = (
+            is_settable(variable) and variable.causality != "structuralParameter"
+        )  # sizes are those of the file
         units = units_for(variable, description)
         kind = "array" if variable.dimensions else variable.type
         facts = unit_of(variable), is_input, source, start, units, kind, variable.declaredType

@@ -38,7 +38,7 @@ from cosim.integrate.keywords import SpanKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.model.request import choice
 from cosim.model.times import time_grid
-from cosim.model.values import number, plain_values
+from cosim.model.values import listed, number, plain_values
 from cosim.trajectory import Trajectory
 
 
@@ -222,7 +222,7 @@ class System:
         )
         self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
-        if inputs is None or inputs == {}:
+        if inputs is None or (isinstance(inputs, Mapping) and not inputs):
             return self._simulated(settings, given, outputs)
         times = time_grid(settings.start, settings.stop, settings.interval)
         signals = Signals.of(self.name, self.parts, self.connectors, inputs, times)
@@ -256,7 +256,9 @@ class System:
         outputs: Sequence[str] | None,
     ) -> Trajectory:
         """Simulate by co-simulation; see `simulate`."""
-        names = None if outputs is None else self._resolved(outputs)
+        names = (
+            None if outputs is None else self._resolved(listed(f"{self.name}: outputs", outputs))
+        )
         with self.naming_files(), self._lock:  # which owns the instances of the parts
             try:
                 run = self._run(settings, given, self._recorded(names))
@@ -286,7 +288,7 @@ class System:
         """
         own = {connector.name for connector in self.connectors.values() if connector.shows}
         found = list[str]()
-        for name in outputs:
+        for name in listed(f"{self.name}: outputs", outputs):
             if name in own:
                 found.append(name)
                 continue

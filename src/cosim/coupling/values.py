@@ -77,7 +77,8 @@ def values_of(
 
 def _typed(owner: str, variable: Variable, value: object) -> Any:
     """Return a value, or what a text says, as the type of a variable requires."""
-    whole = isinstance(value, str) and value.strip().removeprefix("-").isdecimal()
+    plain = isinstance(value, str) and variable.type != "String"
+    whole = plain and str(value).strip().removeprefix("-").isdecimal()
     return typed_value(owner, variable, int(str(value)) if whole else value)
 
 

@@ -39,8 +39,10 @@ def parameter_set(
     for variable, value in values.items():
         entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=variable)
         measured = {"unit": used[variable]} if variable in used else {}
-        kind, text = _kind(known[variable]), shortest(value)
-        if kind == "Boolean":
+        kind, text = _kind(known[variable]), str(value)
+        if kind == "Real":
+            text = shortest(value)
+        elif kind == "Boolean":
             text = str(bool(value)).lower()
         elif kind == "Enumeration":
             items = known[variable].declaredType.items
@@ -134,7 +136,7 @@ def write_ssp(
             )
     described = {name: _described(path) for name, path in components.items()}
     defined = _defined_units(description for description, _ in described.values())
-    ends = [(_side(described, a, "output"), _side(described, b, "input")) for a, b in connections]
+    ends = [_ends(described, pair) for pair in connections]
     given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
     for key in open_inputs:
         component, entry = _side(described, key, "input")
@@ -230,6 +232,13 @@ def _component(name: str, description: Any, units: Mapping[str, str | None]) -> 
             if kind != "Enumeration":  # whose type the FMU describes
                 ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
     return component
+
+
+def _ends(described: Mapping[str, Any], pair: Any) -> tuple[tuple[str, str], tuple[str, str]]:
+    if isinstance(pair, str) or [*map(type, pair)] != [str, str]:
+        raise UsageError.of_type("write_ssp: connections", pair, "pairs of texts, (OUTPUT, INPUT)")
+    source, sink = pair
+    return _side(described, source, "output"), _side(described, sink, "input")
 
 
 def _side(described: Mapping[str, Any], text: str, causality: str | None) -> tuple[str, str]:

@@ -348,8 +348,10 @@ class Kernel:
         return Outcome(Reason(call.reason), call.part, call.other, call.state, call.size)
 
 
-def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, frozenset[int]]:
-    """Return a state with consistent modes, and the relations whose arguments are 0 there.
+def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, float]]:
+    """Return a state with consistent modes, and the relations that switch there.
+
+    These are by position, with the value of the argument: 0, or of a floor an integer.
 
     Args:
         system: Frozen equations; its events do not happen.
@@ -368,8 +370,10 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, frozenset[
     found = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes)  # what is 0 but for rounding
     reject(plain, at.t, found.ending, "")
     at = kernel.after(at)
-    small = np.abs(at.watched(plain, p).arguments[0]) <= kernel.switching.slack
-    return at, frozenset(np.flatnonzero(small).tolist()) & frozenset(plain.of_states)
+    arguments = at.watched(plain, p).arguments[0]
+    edges = np.where(plain.floors, np.round(arguments), 0.0)
+    small = np.abs(arguments - edges) <= kernel.switching.slack
+    return at, {i: float(edges[i]) for i in plain.of_states if small[i]}
 
 
 def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:

@@ -22,6 +22,7 @@ from cosim.model.formula import expression
 from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 from cosim.model.switching import switch_times
+from cosim.model.values import number
 
 _STEEP = 0.02  # share of a function's range within a sampling interval that may be a jump
 _LOOKS = 7  # at a function between two output times
@@ -76,7 +77,7 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
         if isinstance(value, str) and _is_quantity(value):
             constants[name] = quantity(name, value, known[name].unit)
         elif isinstance(value, Real):
-            constants[name] = float(value)
+            constants[name] = number(dae.full_name, name, value)
         elif isinstance(value, InputSeries):
             pieces.append(_column(name, value))
         elif isinstance(value, str) or (callable(value) and _is_symbolic(dae, value, times())):
@@ -127,7 +128,7 @@ def followed(
         if isinstance(value, InputSeries):
             pieces.append(_column(name, value))
         elif isinstance(value, Real):
-            pieces.append(_samples(owner, name, [float(value)] * 2, ends))
+            pieces.append(_samples(owner, name, [number(owner, name, value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
             if isinstance(value, str):
                 law, switches = _formula(f"{owner}: {name}", value, numbers, ends, unit)

@@ -51,7 +51,7 @@ def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, V
     for name, value in (values or {}).items():
         try:
             columns[name] = np.array(value, dtype=float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ParameterError(f"{owner}: {name}: {error}; give numbers") from error
         if columns[name].ndim > 1:
             raise ParameterError(

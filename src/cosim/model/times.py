@@ -135,7 +135,7 @@ class Times:
         """Return explicit output times, s, (n,), of a run from `start` (to `stop`)."""
         try:
             own = np.atleast_1d(np.array(times, dtype=float))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise UsageError.of_type("output_times", times, "times in s, (n,)") from None
         if own.ndim != 1 or not own.size or not np.isfinite(own).all():
             raise ParameterError("output_times: give finite times in s, in one dimension")

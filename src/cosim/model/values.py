@@ -12,13 +12,21 @@ import numpy as np
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Truths, Vector
-from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.errors import (
+    InitialConditionError,
+    ParameterError,
+    UnknownName,
+    UsageError,
+    represented,
+)
 from cosim.memo import cached_per_thread
 from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
 from cosim.text import shortened
 
 _SMALL = 1e-3  # smaller initial values are their own nominal values
+MOST_COUNT = 10_000_000  # of copies, runs, threads and so on
+MOST_SEED = 2**63 - 1
 A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
 
@@ -44,7 +52,9 @@ def number(owner: str, name: str, value: Any, *, positive: bool = False) -> floa
         ParameterError: The value is no finite real number, or not positive where it must be.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        raise ParameterError(f"{owner}: {name} = {value!r} is not a real number; give a float")
+        raise ParameterError(
+            f"{owner}: {name} = {represented(value)} is not a real number; give a float"
+        )
     try:
         result = float(value)
     except OverflowError:
@@ -54,6 +64,22 @@ def number(owner: str, name: str, value: Any, *, positive: bool = False) -> floa
     if positive and result <= 0:
         raise ParameterError(f"{owner}: {name} = {value} is not positive; give a positive number")
     return result
+
+
+def whole(owner: str, name: str, value: Any, least: int = 1, most: int = MOST_COUNT) -> int:
+    """Return a whole number.
+
+    Raises:
+        ParameterError: The value is none, or out of its bounds.
+    """
+    positive = "positive " if least > 0 else ""
+    which = f"a {positive}whole number, {least} or more"
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise ParameterError.of_type(f"{owner}: {name}", value, which)
+    if not least <= value <= most:
+        which = which if value < least else f"{most} or less"
+        raise ParameterError(f"{owner}: {name} = {represented(value)}; give {which}")
+    return int(value)
 
 
 def time_limit_from(owner: str, value: Any) -> float:

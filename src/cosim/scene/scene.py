@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from casadi_models.dae import Dae
-from cosim.errors import naming_arguments_of
+from cosim.errors import UsageError, naming_arguments_of
 from cosim.model.request import RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.text import html_table, text_table
@@ -45,6 +45,7 @@ class FigureSpec:
         return tuple(dict.fromkeys((*across, *(name for panel in self.panels for name in panel))))
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)  # a Dae has no equality
 class Scene:
     """A run with a name, a title and figures, as a TOML file describes it.
@@ -66,6 +67,10 @@ class Scene:
     request: RunRequest
     title: str = ""
     figures: tuple[FigureSpec, ...] = ()
+
+    def __post_init__(self) -> None:
+        expected = "what cosim.requested returns"
+        UsageError.reject("Scene: request", self.request, RunRequest, expected)
 
     @property
     def dae(self) -> Dae:

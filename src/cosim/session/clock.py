@@ -25,7 +25,7 @@ class Clock:
 
     def target(self, owner: str, step: float | None, to: float | None) -> float:
         """Return the time that a call of `advance` is to reach, s; see `target_of`."""
-        if to is None and step == self.length:
+        if to is None and isinstance(step, float | int) and step == self.length:
             return self.first + (self.count + 1) * self.length
         return target_of(owner, self.now, step, to)
 

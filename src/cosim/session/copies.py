@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.arrays import Integers, Truths, Vector
-from cosim.errors import FmuError, ParameterError, UsageError
+from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments_of
 from cosim.model.values import listed
 from cosim.session.clock import Clock
 from cosim.trajectory import Event
@@ -55,6 +55,7 @@ class Engine(Protocol):
         """Set a saved state, which fits."""
 
 
+@naming_arguments_of
 class Copies:
     """Many copies of a model that are advanced together; open them with `cosim.open`.
 
@@ -303,7 +304,9 @@ class Copies:
         if isinstance(value, str) or np.ndim(value) == 0:
             return value
         try:
-            column: Vector = np.array(value, dtype=float)
+            column: Any = np.array(value)
+            if column.dtype.kind not in "iu":  # integers from 2^53 on are no floats
+                column = column.astype(float)
         except (TypeError, ValueError) as error:
             raise ParameterError(f"{self.name}: {name}: {error}; give numbers") from error
         if column.shape != (count,):

@@ -14,13 +14,15 @@ from cosim.fmi.run.request import FmuRequest
 from cosim.integrate.ensemble.simulate_many import lane_solver
 from cosim.integrate.keywords import requested
 from cosim.integrate.solvers import with_largest_step
-from cosim.model.values import number
+from cosim.model.values import number, whole
 from cosim.session.copies import Copies
 from cosim.session.lane_copies import LaneCopies
 from cosim.session.opened_file import OpenedFile, exported
 from cosim.session.restart import Experiment
 from cosim.session.session import Session
 from cosim.session.single_copies import SingleCopies
+
+_MOST_INSTANCES = 100_000  # of an FMU, each of which is called alone
 
 
 class SessionKeywords(TypedDict, total=False):
@@ -104,8 +106,8 @@ def open(
                 "or use System.simulate"
             )
         model = model.dae
-    if copies is not None and (type(copies) is not int or copies < 1):
-        raise UsageError.of_type("open: copies", copies, "a positive whole number")
+    if copies is not None:
+        whole("open", "copies", copies)
     names = "start_time", "stop_time", "relative_tolerance"
     facts: dict[str, Any] = {name: keywords.get(name) for name in names}
     start_time, stop_time, solver = facts["start_time"], facts["stop_time"], keywords.get("solver")
@@ -129,5 +131,6 @@ def open(
     experiment = Experiment(request.start, stop, request.tolerance)
     if copies is None:
         return Session(file, start_values or {}, experiment, dae)
+    whole("open", "copies", copies, most=_MOST_INSTANCES)
     sessions = [Session(file, {}, experiment, dae) for _ in range(copies)]
     return Copies(SingleCopies(sessions), copies, start_values or {}, experiment.startTime)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
-from cosim.errors import FmuError, UsageError
+from cosim.errors import FmuError, UsageError, naming_arguments
 from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
@@ -156,6 +156,7 @@ class Session:
             variables = [self._variables[name] for name in given]
             self._restarts[tuple(given)] = Restart(self._calls, variables, bounds)
 
+    @naming_arguments
     def reset(
         self,
         start_values: Mapping[str, float | str] | None = None,
@@ -379,6 +380,7 @@ class Session:
         violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = _Phase.RUNNING
 
+    @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Return A, B, C, D at the present state, by directional derivatives of the FMU.
 

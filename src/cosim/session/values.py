@@ -16,6 +16,7 @@ from cosim.model.quantities import quantity
 from cosim.model.values import listed
 from cosim.session.calls import WARNING, Group, PreparedCalls
 
+_FLOATS = ("Real", "Float64")  # which take every finite float as it is
 _LARGEST = 64  # lists of variables whose calls are prepared
 
 
@@ -54,7 +55,7 @@ class Values:
         found = []
         for name, value in named.items():
             variable, group = self._setters.get(name) or self._setter(name)
-            if type(value) is not float or not isfinite(value):
+            if type(value) is not float or not isfinite(value) or variable.type not in _FLOATS:
                 value = plain_value(self._name, self._description, variable, value)
             found.append((group, value))
         for group, plain in found:
@@ -94,7 +95,10 @@ class Values:
     def get(self, names: Sequence[str] | None) -> Vector:
         """Return values, (n,); see `Session.get`."""
         key = tuple(names) if isinstance(names, list) else names
-        groups = self._selections.get(key) if isinstance(key, tuple | None) else None
+        try:
+            groups = self._selections.get(key) if isinstance(key, tuple | None) else None
+        except (TypeError, NotImplementedError):  # what cannot be looked up is no name
+            groups = None
         if groups is None:
             groups = self._selection(key)
         if len(groups) == 1:
@@ -119,7 +123,7 @@ class Values:
         if len(self._selections) >= _LARGEST:
             self._selections.clear()
         groups = self._calls.groups([self._variables[name] for name in chosen])
-        self._selections[names if isinstance(names, tuple | None) else chosen] = groups
+        self._selections[chosen if names is not None else None] = groups
         return groups
 
 
@@ -130,7 +134,7 @@ def inputs_of(description: Any) -> list[Any]:
 
 def plain_value(owner: str, description: Any, variable: Any, value: Any) -> Any:
     """Return a value, perhaps a text with a unit, in the variable's unit and type."""
-    if isinstance(value, str) and variable.type not in ("Boolean", "Enumeration"):
+    if isinstance(value, str) and variable.type not in ("Boolean", "Enumeration", "String"):
         units = units_for(variable, description)
         value = quantity(variable.name, value, unit_of(variable) or "1", definitions=units)
     return typed_value(owner, variable, value)

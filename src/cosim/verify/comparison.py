@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.backend import Backend
-from cosim.errors import UsageError
+from cosim.errors import UnknownName, UsageError
 from cosim.model.solver import Tolerance
 from cosim.model.values import number
 from cosim.presenters import presenter
@@ -176,7 +176,10 @@ def compare(
     """
     for run in (first, second):
         UsageError.reject("compare", run, Trajectory, "two results of simulate or simulate_fmu")
-    number("compare", "bound", bound, positive=True)
+    bound = number("compare", "bound", bound, positive=True)
+    if isinstance(without, str):  # whose letters may be names
+        raise UsageError.of_type("compare: without", without, "a list of names")
+    UnknownName.reject("compare", "variable", {*first.names, *second.names}, *map(str, without))
     names = [name for name in first.names if name in second.names and name not in without]
     if not names:
         raise UsageError(f"{first.model} and {second.model} have no variable in common")

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from cosim.errors import ParameterError
-from cosim.fmi.run.typed_values import typed_value
+from cosim.errors import FmuError, ParameterError
+from cosim.fmi.run.typed_values import reject_beyond_bounds, typed_value
 
 MODES = SimpleNamespace(
     items=[SimpleNamespace(name="slow", value="1"), SimpleNamespace(name="fast", value="3")]
@@ -64,3 +64,21 @@ def test_value_that_the_type_does_not_have_is_rejected_with_the_type(kind, value
 def test_word_for_a_number_is_rejected_with_the_remedy(kind):
     with pytest.raises(ParameterError, match="u = 'fast' is not a real number; give a number"):
         value_of(kind, "fast")
+
+
+@pytest.mark.parametrize("value", [1, 10, 1.0, 1e9])
+@pytest.mark.parametrize("of_type", [False, True])
+def test_value_beyond_the_bounds_of_the_file_is_rejected(value, of_type):
+    bounds = SimpleNamespace(min="2", max="9")
+    facts = {"declaredType": bounds} if of_type else vars(bounds)
+    variable = SimpleNamespace(name="u", type="Int32", **facts)
+    with pytest.raises(FmuError, match=r"u = .* is out of its range 2 \.\.\. 9"):
+        reject_beyond_bounds(variable, value)
+    reject_beyond_bounds(variable, 9.0)
+
+
+def test_value_is_bounded_on_one_side_where_the_file_has_one_bound():
+    variable = SimpleNamespace(name="u", type="Real", declaredType=None, min="-1.5", max=None)
+    reject_beyond_bounds(variable, 1e300)
+    with pytest.raises(FmuError, match=r"u = -2 is out of its range -1\.5 \.\.\. inf"):
+        reject_beyond_bounds(variable, -2.0)

@@ -131,3 +131,25 @@ def test_kink_of_an_output_is_rejected_where_the_output_is_requested():
         cosim.linearize(dae, outputs=["y"])
     assert cosim.linearize(dae, outputs=["x"]).C.tolist() == [[1.0]]
     assert cosim.linearize(dae, outputs=["y"], start_values={"x": -2.0}).C.tolist() == [[-1.0]]
+
+
+@pytest.mark.parametrize(
+    ("law", "x", "switch"),
+    [
+        (lambda x: ca.sign(x) - x, 0.0, "sign of x is exactly at 0"),
+        (lambda x: ca.floor(x) - x, 0.0, "floor of x is exactly at 0"),
+        (lambda x: ca.ceil(x) - x, 3.0, "ceil of .* is exactly at -3"),
+        (lambda x: ca.fmod(x, 1.0) - x, 2.0, "fmod of .* is exactly at 2"),
+        (lambda x: ca.if_else(x > 1, 1.0, -x), 1.0, "< of .* is exactly at 0"),
+    ],
+)
+def test_state_at_a_jump_with_equal_slopes_on_both_sides_is_rejected(law, x, switch):
+    dae = law_model(lambda x, u: law(x))
+    with pytest.raises(InitialConditionError, match=f"{switch} at its initial state"):
+        cosim.linearize(dae, start_values={"x": x})  # before: A of one side, without a word
+    assert cosim.linearize(dae, start_values={"x": x + 0.25}).A.shape == (1, 1)
+
+
+def test_remainder_of_a_small_number_is_the_number():
+    dae = law_model(lambda x, u: ca.fmod(x, 1.0) - 3 * x)
+    assert cosim.linearize(dae, start_values={"x": 0.0}).A.tolist() == [[-2.0]]

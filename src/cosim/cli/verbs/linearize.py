@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from cosim.cli.arguments import names_in, numbers_in, scene_from, start_values_of_fmu, value_of
+from cosim.cli.arguments import (
+    names_in,
+    numbers_in,
+    scene_from,
+    spaced,
+    start_values_of_fmu,
+    value_of,
+)
 from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
@@ -60,12 +65,12 @@ def _along(
 ) -> int:
     name, equals, span = (part.strip() for part in args.along.partition("="))
     parts = [part.strip() for part in span.split(":")]
-    if not equals or len(parts) != 3 or not parts[2].isdigit():
+    if not equals or len(parts) != 3:
         raise UsageError(f"--along {args.along}: write NAME=A:B:N")
     dae = None if isinstance(model, str) else model
     reject_mixed_units(f"--along {name}", parts[:2])
     first, last = (value_of(dae, name, part) for part in parts[:2])
-    values = np.linspace(first, last, int(parts[2])).tolist()
+    values = spaced(f"--along {args.along}", first, last, parts[2])
     found = evaluate(model, along={name: values}, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, csv_text(found.rows()))

@@ -5,9 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, value_in
+from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, spaced, value_in
 from cosim.cli.tables import note, write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
@@ -74,9 +72,7 @@ def _values(subject: Subject, name: str, text: str) -> list[float]:
     parts = text.split(":")
     if len(parts) == 3:
         low, high = (_si_value(subject, name, part) for part in parts[:2])
-        if not parts[2].strip().isdecimal() or int(parts[2]) < 2:
-            raise ParameterError(f"-p {name}={text}: write {name}=A:B:N with N of 2 or more")
-        return [float(value) for value in np.linspace(low, high, int(parts[2]))]
+        return spaced(f"-p {name}={text}", low, high, parts[2].strip())
     if len(parts) != 1 or _DISTRIBUTION.fullmatch(text):
         raise UsageError(f"-p {name}={text}: write {_AXIS_FORMS}; ranges are for --design KIND:N")
     return [_si_value(subject, name, part) for part in text.split(",")]

@@ -159,8 +159,8 @@ def _number(document: Document, name: str, element: ET.Element) -> float | str:
     if element.tag in _REALS:
         return real(document, name, text)
     if element.tag in _INTEGERS and _INTEGER.fullmatch(text.strip()):
-        return float(int(text)) if len(text) < 100 else real(document, name, "")
-    if element.tag == "Enumeration":
+        return int(text) if len(text) < 100 else real(document, name, "")
+    if element.tag in ("Enumeration", "String"):
         return text
     if element.tag == "Boolean" and text.strip() in _TRUTH:
         return _TRUTH[text.strip()]

@@ -153,6 +153,9 @@ class _System:
                 if not self._variable(way.sink).is_start:
                     raise document.fault(f"{way.sink} cannot be given; it is calculated")
                 variable, value = self._variable(way.sink), self._value(node, way.steps[number:])
+                if isinstance(value, str) and variable.type not in ("String", "Enumeration"):
+                    what = f"{way.sink} = {value!r} is no number"
+                    raise document.fault(f"{what}; only numbers can be set here")
                 with document.naming():
                     return {self._key(way.sink): typed_value(way.sink.place[-1], variable, value)}
         return {}

@@ -98,7 +98,7 @@ class FmuOptions:
             raise UsageError.of_type("export_fmu", self.platforms, "a list of platforms")
         if not 1e-13 <= number("export", "tolerance", self.tolerance) <= 0.1:
             raise ParameterError(
-                f"export: tolerance = {self.tolerance:g} is not within 1e-13 ... 0.1"
+                f"export: tolerance = {float(self.tolerance):g} is not within 1e-13 ... 0.1"
             )
         for name in ("step_size", "max_step"):
             value, fixed = getattr(self, name), self.solver in FIXED_STEPS

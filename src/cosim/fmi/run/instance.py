@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 from cosim.errors import FmuError, SecurityError, UnknownName
 from cosim.fmi.archive import DESCRIPTION, flat_names
 from cosim.fmi.run.arrays import Access, Element
+from cosim.fmi.run.typed_values import reject_beyond_bounds
 from cosim.host.temporary import loads_no_library
 from cosim.text import Violation, described, sentence
 
@@ -112,6 +113,8 @@ def begin_initialization(
     if elements:
         variables = [known[name] for name in elements]
         access_to(variables, instance, description).set([*elements.values()])
+    for name, value in values.items():
+        reject_beyond_bounds(known[name], value)
 
 
 def update_discrete_states(instance: Any) -> tuple[bool, float]:
@@ -170,7 +173,7 @@ def read_description(folder: Path, name: object) -> Any:
             variable.aliases = [VariableAlias(name=variable.name)]
             variable.name = names[variable.name]
     _drop_inverse_display_units(description, root)
-    _read_relative_quantities(description, root)
+    _read_overlooked(description, root)
     if not is_second(description):  # fmpy does not read the flag of FMI 3
         for kind in (description.modelExchange, description.coSimulation):
             for element in root.iterfind(type(kind).__name__):
@@ -192,16 +195,15 @@ def _drop_inverse_display_units(description: Any, root: ET.Element) -> None:
         unit.displayUnits = [d for d in unit.displayUnits if d.name not in inverse]
 
 
-def _read_relative_quantities(description: Any, root: ET.Element) -> None:
-    """Read the attribute `relativeQuantity`, which fmpy overlooks in variables."""
-    relative = {
-        variable.get("name")
-        for variable in root.iterfind("ModelVariables/*")
-        if any(e.get("relativeQuantity") in ("true", "1") for e in (variable, *variable[:1]))
-    }
+def _read_overlooked(description: Any, root: ET.Element) -> None:
+    """Read what fmpy overlooks: `relativeQuantity` and the bounds of unsigned integers."""
+    elements = {e.get("name"): (e, *e[:1]) for e in root.iterfind("ModelVariables/*")}
     for variable in description.modelVariables:
-        if variable.name in relative:
+        own = elements.get(variable.name, ())
+        if any(e.get("relativeQuantity") in ("true", "1") for e in own):
             variable.relativeQuantity = True
+        if own and variable.type.startswith("UInt"):
+            variable.min, variable.max = (own[0].get(end) for end in ("min", "max"))
 
 
 def choose_interface(

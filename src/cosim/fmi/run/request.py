@@ -168,7 +168,8 @@ class FmuRequest:
         """The parameters and inputs of the run by name: start values given here, else the FMU's."""
         own, given = _own_numbers(self.description), self.initial_values
         kinds, variables = ("parameter", "input"), by_name(self.description)
-        return {**own, **{n: x for n, x in given.items() if variables[n].causality in kinds}}
+        used = {n for n in given if variables[n].causality in kinds and is_number(variables[n])}
+        return {**own, **{n: x for n, x in given.items() if n in used}}
 
 
 @lru_cache(8)
@@ -216,11 +217,12 @@ def _tolerance(name: object, description: Any, relative: float | None) -> float 
     if relative is None:
         own = getattr(description.defaultExperiment, "tolerance", None)
         return None if own is None else float(own)
-    if number(str(name), "relative_tolerance", relative, positive=True) > 0.1:
+    relative = number(str(name), "relative_tolerance", relative, positive=True)
+    if relative > 0.1:
         raise ParameterError(
             f"{name}: relative_tolerance = {relative:g} is above 0.1; give a smaller one"
         )
-    return float(relative)
+    return relative
 
 
 def resized(
@@ -250,14 +252,14 @@ def checked_values(
     UsageError.reject(f"{name}: start_values", values, Mapping, "values by name, e.g. {'phi': 1}")
     for variable in values:
         if variable not in variables:
-            settable = [v.name for v in variables.values() if _is_settable(v)]
+            settable = [v.name for v in variables.values() if is_settable(v)]
             raise UnknownName.among(str(name), "start value", variable, settable)
-        if not is_number(variables[variable]):
+        if not _holds_value(variables[variable]):
             raise UsageError(
-                f"{name}: {variable} is {_kind_of(variables[variable])}; only numbers, Booleans "
-                "and items of enumerations can be set"
+                f"{name}: {variable} is {_kind_of(variables[variable])}; only numbers, Booleans, "
+                "items of enumerations and texts can be set"
             )
-        if not _is_settable(variables[variable]):
+        if not is_settable(variables[variable]):
             raise UsageError(f"{name}: {variable} cannot be set; it is calculated")
     return {
         variables[key].name: typed_value(str(name), variables[key], value)
@@ -273,8 +275,13 @@ def _kind_of(variable: Any) -> str:
     return f"an array; name its elements, such as {variable.name}[{first}]"
 
 
-def _is_settable(variable: Any) -> bool:
-    return may_be_set(variable) and is_number(variable)
+def is_settable(variable: Any) -> bool:
+    """Tell whether a variable is one number or text whose start value can be set."""
+    return may_be_set(variable) and _holds_value(variable)
+
+
+def _holds_value(variable: Any) -> bool:
+    return is_number(variable) or (variable.type == "String" and not variable.dimensions)
 
 
 def output_names(

@@ -1,8 +1,9 @@
 """Values of FMU variables, checked against the type of the variable."""
 
+from numbers import Integral
 from typing import Any
 
-from cosim.errors import ParameterError
+from cosim.errors import FmuError, ParameterError
 from cosim.model.values import number
 
 _WORDS = {"true": True, "false": False, "0": False, "1": True}
@@ -25,7 +26,7 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
         owner: Of the variable, for errors.
         variable: Of fmpy's model description.
         value: A number in the variable's unit; for a Boolean also a truth value or its word, for an
-            enumeration also the name of an item.
+            enumeration also the name of an item, for a String a text.
 
     Raises:
         ParameterError: The type does not have this value.
@@ -44,6 +45,10 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
             return int(value)
         allowed = ", ".join(f"{item} ({n})" for item, n in items.items())
         raise ParameterError(f"{owner}: {name} = {value} is no item of it; give one of {allowed}")
+    if kind == "String":
+        if not isinstance(value, str) or "\0" in value:
+            raise ParameterError(f"{owner}: {name} = {value!r} is no String; give a text")
+        return value
     if isinstance(value, str):
         raise ParameterError(
             f"{owner}: {name} = {value!r} is not a real number; give a number in the FMU's own "
@@ -52,7 +57,7 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
     if kind in RANGES:
         low, high = RANGES[kind]
         plain = number(owner, name, value)
-        whole = value if isinstance(value, int) else int(plain)
+        whole = int(value if isinstance(value, Integral) else plain)
         if whole != value or not low <= whole <= high:
             raise ParameterError(
                 f"{owner}: {name} = {value!r} is no {kind}; give a whole number from {low} to "
@@ -63,3 +68,23 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
     if kind == "Float32" and abs(plain) > _LARGEST_FLOAT32:
         raise ParameterError(f"{owner}: {name} = {value!r} is too large for a Float32")
     return plain
+
+
+def reject_beyond_bounds(variable: Any, value: Any) -> None:
+    """Reject a number that the bounds in a file exclude, where its FMU has accepted it.
+
+    Raises:
+        FmuError: The number is out of its bounds.
+    """
+    places = variable, getattr(variable, "declaredType", None)
+    low, high = (
+        next((bound for one in places if (bound := getattr(one, end, None))), None)
+        for end in ("min", "max")
+    )
+    if isinstance(value, str | bool) or variable.type == "Enumeration":
+        return
+    if (low and value < float(low)) or (high and value > float(high)):
+        raise FmuError(
+            f"{variable.name} = {value:g} is out of its range {low or '-infinity'} ... "
+            f"{high or 'infinity'}, which the FMU does not say; give a value within"
+        )

@@ -13,6 +13,7 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName, naming_arguments_of
 from cosim.host.optional_packages import optional_module
+from cosim.model.values import whole
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.text import MOST_LINES, Table, sentence, short_reason, text_table
 from cosim.trajectory import Column, Trajectory
@@ -217,6 +218,7 @@ class Ensemble:
 
     def run(self, i: int) -> Trajectory:
         """Return one run up to its last valid output time, or to the event that ended it."""
+        whole(self.model, "run", i, -len(self.states), len(self.states) - 1)
         if i in self.with_events:
             return self.with_events[i]
         n = int(self.reached[i])
@@ -239,6 +241,7 @@ class Ensemble:
 
     def rows(self, i: int) -> Curves:
         """Return what the output times tell of a run."""
+        whole(self.model, "run", i, -len(self.states), len(self.states) - 1)
         run = self.with_events.get(i)
         return of_rows(
             Rows(self.time, self.values[i]) if run is None else Rows(run.time, run.values)

@@ -38,8 +38,10 @@ from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
-from cosim.model.values import assign, numbers_of
+from cosim.model.values import MOST_COUNT, assign, numbers_of, whole
 from cosim.trajectory import Column, Trajectory
+
+_MOST_LANES = 64
 
 
 def simulate_many(
@@ -84,8 +86,9 @@ def simulate_many(
         (2, 101)
     """
     began = perf_counter()
-    if threads is not None and (type(threads) is not int or threads < 1):
-        raise UsageError.of_type("simulate_many: threads", threads, "a positive whole number")
+    for name, count, most in (("threads", threads, MOST_COUNT), ("lanes", lanes, _MOST_LANES)):
+        if count is not None:
+            whole("simulate_many", name, count, most=most)
     request = with_largest_step(requested(dae, **keywords))
     if request.policy.stop_when is not None:
         raise UsageError(f"{request.dae.full_name}: stop_when is for single runs; leave it out")

@@ -36,6 +36,7 @@ from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
 from cosim.model.request import choice
+from cosim.model.values import number
 from cosim.plotting import picture
 from cosim.present.playback.page import column_facts, packed
 from cosim.present.playback.page import page as html_page
@@ -135,6 +136,7 @@ def animate(
     live = runs if isinstance(runs, Dae) else None
     kind = AnimationFormat.HTML if target is None else animation_format(target)
     look: dict[str, Any] = {"view": choice(View, "view", view), "follow": follow}
+    speed = number("animate", "speed", speed)
     if not speed > 0:
         raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
     if at is not None and not kind.still:

@@ -90,6 +90,7 @@ def frame_times(time: Vector, turn_rate: float, frames_per_second: float) -> Vec
         return time
     gaps = np.diff(time)
     span, per_second = float(time[-1] - time[0]), max(frames_per_second, turn_rate / LARGEST_TURN)
+    per_second = min(per_second, 2 * MOST_FRAMES / span)  # of which there are too many
     stride = int(1 / (gaps[0] * per_second) + 1e-9)
     if stride and np.ptp(gaps[:-1]) < 1e-6 * gaps[0] and gaps[-1] <= gaps[0] * (1 + 1e-6):
         chosen = time[::stride]

@@ -11,7 +11,8 @@ from casadi_models.dae import Dae
 from cosim.arrays import Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, SolverError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
-from cosim.model.values import number
+from cosim.model.inputs import InputSeries
+from cosim.model.values import MOST_SEED, number, whole
 from cosim.study.fit.result import Fit
 from cosim.study.fit.subject import Subject, subject_of
 from cosim.study.fit.unknowns import Unknowns
@@ -90,10 +91,13 @@ def fit(
     """
     optimize, stats = (optional_module(f"scipy.{name}", "data") for name in ("optimize", "stats"))
     UnknownName.reject("fit", "loss", LOSSES, loss)
-    if not 0 < number("fit", "confidence", confidence) < 1:
+    confidence = number("fit", "confidence", confidence)
+    if not 0 < confidence < 1:
         raise ParameterError(f"fit: confidence = {confidence} is not between 0 and 1")
-    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
-        raise ParameterError(f"fit: starts = {starts!r}; give 1 or more")
+    whole("fit", "starts", starts)
+    whole("fit", "seed", seed, 0, MOST_SEED)
+    expected = "what cosim.read_inputs returns"
+    UsageError.reject("fit: inputs", settings.get("inputs"), InputSeries | None, expected)
     subject = subject_of(model, settings)
     fixed = dict(start_values or {})
     unknowns = Unknowns.of(subject, parameters, fixed)

@@ -9,15 +9,17 @@ import numpy as np
 
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
-from cosim.errors import UsageError
+from cosim.errors import UsageError, naming_arguments_of
 from cosim.files import write_atomically
 from cosim.integrate.keywords import requested
+from cosim.model.values import whole
 from cosim.study.fit.subject import ModelSubject, Subject
 from cosim.text import html_table, text_table
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import Comparison, compare
 
 
+@naming_arguments_of
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Parameters and initial values that fit measurements best.
@@ -103,6 +105,7 @@ class Fit:
 
     def compare(self, record: int = 0, *, bound: float = 0.05) -> Comparison:
         """Compare the fitted run with a record; see `cosim.compare`."""
+        whole("fit", "record", record, 0, len(self.records) - 1)
         return compare(self.runs[record], self.records[record], bound=bound)
 
     def plot(self, target: str | os.PathLike[str] | None = None, record: int = 0) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -87,13 +88,14 @@ def _row(
         if np.isnan(start):
             raise ParameterError(f"fit: {name} has no initial value of its own; give one")
         return start, *bounds
-    if np.ndim(what) == 0:
+    if isinstance(what, Real | str) or (isinstance(what, np.ndarray) and what.ndim == 0):
         start = number("fit", name, what)
         if not bounds[0] <= start <= bounds[1]:
             raise ParameterError(
                 f"fit: {name} = {start:g} is outside its bounds {bounds[0]:g} ... {bounds[1]:g}"
             )
         return start, *bounds
+    UsageError.reject(f"fit: {name}", what, Sequence | np.ndarray, "numbers")
     parts = [number("fit", name, part) for part in what]
     if len(parts) not in (2, 3) or not all(np.diff(parts) > 0):
         raise ParameterError(

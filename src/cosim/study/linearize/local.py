@@ -41,6 +41,13 @@ class LocalSystem(NamedTuple):
     influence: Truths
 
 
+class Edge(NamedTuple):
+    """A relation that switches at a state: where it does, and its mode on the other side."""
+
+    where: str
+    other: float
+
+
 def local_system(
     dae: Dae, names: tuple[str, ...], time: float, x: Vector, values: Values, point: str
 ) -> LocalSystem:
@@ -65,13 +72,16 @@ def local_system(
     unknowns = [*(f"{v.name}_dot" for v in dae.states), *names]
     reject_no_number(dae.full_name, jacobian[:, :n], unknowns, knowns, point)
     for places in _sides(edges):
-        other = np.where(np.isin(np.arange(len(u)), places), -u, u)
-        change = at_point(own, names, time, x, replace(values, u=other))[2] - jacobian
-        if not np.linalg.norm(change[:, :n]) <= SAME * np.linalg.norm(jacobian[:, :n]):
-            what = " and ".join(edges[place] for place in places)
+        other = u.copy()
+        other[[*places]] = [edges[place].other for place in places]
+        beyond = at_point(own, names, time, x, replace(values, u=other))
+        change = (beyond[2] - jacobian)[:, :n]
+        values_jump = any(map(_differ, beyond[:2], (rates, outputs)))
+        if values_jump or not np.linalg.norm(change) <= SAME * np.linalg.norm(jacobian[:, :n]):
+            what = " and ".join(edges[place].where for place in places)
             raise InitialConditionError(
-                f"{dae.full_name}: {what} is exactly at 0 at {point}, and the linear system is "
-                "another one on each side; choose a state on one of them"
+                f"{dae.full_name}: {what} at {point}, and the linear system is another one on each "
+                "side; choose a state on one of them"
             )
     rows = slice(0, len(x))
 
@@ -94,7 +104,13 @@ def _with_kinks_of(dae: Dae, names: tuple[str, ...]) -> Dae:
     return replace(dae, driving=(*dae.driving, *names))
 
 
-def _sides(edges: Mapping[int, str]) -> Iterator[tuple[int, ...]]:
+def _differ(one: Vector, other: Vector) -> bool:
+    """Tell whether values jump."""
+    change, size = np.abs(one - other), np.fmax(np.abs(one), np.abs(other))
+    return bool((change > SAME * size + EPS * size.max(initial=0.0)).any())
+
+
+def _sides(edges: Mapping[int, Edge]) -> Iterator[tuple[int, ...]]:
     """Yield the sets of relations at 0 whose other side is compared: one, two, or all of them."""
     for size in sorted({1, 2, len(edges)}):
         yield from combinations(edges, size)
@@ -152,11 +168,11 @@ def influence(dae: Dae) -> Truths:
 
 def followed(
     dae: Dae, time: float, x: Vector, values: Values
-) -> tuple[Dae, Vector, dict[int, str]]:
+) -> tuple[Dae, Vector, dict[int, Edge]]:
     """Return the equations that a run follows from a state, and their inputs.
 
     These are the inputs of the model and the modes of its relations. The last result are those of
-    them, by position, that may have two values here, and what they are.
+    them, by position, that may have two values here.
     """
     system = hybrid(dae)
     if system is None or not system.relations:
@@ -164,10 +180,16 @@ def followed(
     z, still = algebraic_values(dae, time, x, values), np.zeros(len(values.u))
     at = Instant(time, x, z, values.u, still, np.ones(len(system.relations)))
     at, zero = settled(system, at, values.p)
-    rests = [i for i in zero - at.sliding if at.modes[i] == 0 and not system.floors[i]]
+    rests = [i for i in zero.keys() - at.sliding if at.modes[i] == 0 and not system.floors[i]]
     at.modes[rests] = 1.0  # one of its sides, which the other one is compared with
     u, n = np.concatenate((values.u, at.modes)), len(values.u)
-    edges = {n + i: system.described(i) for i in zero - at.sliding if not system.floors[i]}
+    edges = dict[int, Edge]()
+    for i, edge in zero.items():
+        relation = system.relations[i]
+        inner = relation.floor and relation.operation == "fmod" and edge == 0  # of a size
+        if i not in at.sliding and not inner:
+            other = 2 * edge - relation.floor - at.modes[i]
+            edges[n + i] = Edge(f"{system.described(i)} is exactly at {edge:g}", other)
     return _without_events(system, at.sliding), u, edges
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError, represented
 from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
+from cosim.model.values import MOST_SEED, number, whole
 from cosim.series.csv_file import numbers_of, rows_of
 
 DESIGNS = {"sobol": "Sobol", "lhs": "LatinHypercube", "halton": "Halton", "random": ""}
@@ -132,9 +134,21 @@ def grid(axes: Mapping[str, ArrayLike]) -> Samples:
         >>> grid({"g": [1.62, 9.81], "m": [1.0, 2.0]}).columns["m"]
         array([1., 2., 1., 2.])
     """
-    columns = {name: np.atleast_1d(np.array(values, dtype=float)) for name, values in axes.items()}
+    UsageError.reject("grid: axes", axes, Mapping, "values by name, e.g. {'phi': [0.1, 0.2]}")
+    columns = {name: _axis(name, values) for name, values in axes.items()}
+    whole("grid", "runs", prod(map(len, columns.values())))
     table = np.array(list(product(*columns.values())), dtype=float)
     return Samples(dict(zip(columns, table.T, strict=True)), "grid")
+
+
+def _axis(name: str, values: ArrayLike) -> Vector:
+    try:
+        axis = np.atleast_1d(np.array(values, dtype=float))
+    except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
+        axis = np.empty((0, 0))
+    if axis.ndim != 1 or not axis.size:
+        raise ParameterError(f"grid: {name} = {represented(values)}; give one or more numbers")
+    return axis
 
 
 def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) -> Samples:
@@ -158,8 +172,8 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
     """
     if kind not in DESIGNS:
         raise UnknownName.among("sweep", "design", kind, DESIGNS)
-    if runs < 1:
-        raise ParameterError(f"sweep: {runs} runs; give 1 or more")
+    whole("design", "runs", runs)
+    whole("design", "seed", seed, 0, MOST_SEED)
     varied = [name for name, spread in ranges.items() if not isinstance(spread, int | float)]
     if not varied:
         raise ParameterError(f"sweep: {kind} needs a range; give e.g. phi_dot=0:1")
@@ -181,11 +195,12 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
     if hasattr(spread, "ppf"):
         return np.asarray(spread.ppf(quantiles), dtype=float)
     if isinstance(spread, Sequence | np.ndarray) and len(spread) == 2:
-        low, high = float(spread[0]), float(spread[1])
-        if low < high < np.inf and low > -np.inf:
+        low, high = (number("sweep", name, end) for end in spread)
+        if low < high:
             return low + (high - low) * quantiles
     raise ParameterError(
-        f"sweep: {name} = {spread!r} is no range; give (low, high) or a distribution with a ppf"
+        f"sweep: {name} = {represented(spread)} is no range; give (low, high) or a distribution "
+        "with a ppf"
     )
 
 

@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from cosim.arrays import Truths, Vector
-from cosim.errors import Interrupted, ParameterError, UnknownName, UsageError, naming_arguments_of
+from cosim.errors import Interrupted, UnknownName, UsageError, naming_arguments_of
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.host.signals import ended_by_signals
 from cosim.integrate.ensemble.ensemble import RunState, range_row, varied_rows
 from cosim.integrate.ensemble.lanes import processors
+from cosim.model.values import whole
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
 from cosim.study.sweep.reductions import Function, Statistics, keep_from
 from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
@@ -151,6 +152,7 @@ class SweepResult:
             UsageError: The sweep does not store trajectories.
         """
         self._need_trajectories()
+        whole("sweep", "run", i, -len(self.states), len(self.states) - 1)
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
@@ -197,6 +199,7 @@ class SweepResult:
         return self.data.to_xarray()
 
 
+_MOST_WORKERS = 1024
 _STORE_FORMAT = 5
 _LANE_BLOCK = 16, 1024  # fewest and most runs of a block in SIMD lanes
 _BLOCK = 1, 16  # fewest and most runs of a block, run one by one
@@ -342,8 +345,8 @@ def _fill(
 
 def _chosen_scheduler(scheduler: Any, workers: int | None, *, alone: bool) -> Any:
     """Return the requested scheduler; by default this process (None) if `alone`, else "local"."""
-    if workers is not None and (not isinstance(workers, int) or workers < 0):
-        raise ParameterError(f"sweep: workers = {workers!r}; give 0 or more")
+    if workers is not None:
+        whole("sweep", "workers", workers, 0, _MOST_WORKERS)
     if scheduler not in (None, "local") and workers is not None:
         raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
     if scheduler is None and workers != 0:

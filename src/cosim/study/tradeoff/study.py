@@ -19,6 +19,7 @@ from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, observable
 from cosim.model.reduction import size
 from cosim.model.request import Policy, RunRequest
+from cosim.model.values import whole
 from cosim.scene.scene import Scene
 from cosim.scene.variants import fitting_formulations
 from cosim.study.tradeoff.configuration import Configuration, Selection
@@ -148,8 +149,7 @@ def tradeoff(
         >>> len(study.measurements)
         2
     """
-    if not isinstance(repeats, int) or repeats < 0:
-        raise UsageError(f"tradeoff: repeats = {repeats!r}; give a whole number, 0 or more")
+    whole("tradeoff", "repeats", repeats, 0)
     began, progress = perf_counter(), progress or (lambda _: None)
     if isinstance(subject, System):
         steps = selection.steps if selection else ()
