@@ -267,6 +267,7 @@ static bool show(const Problem *self, SolverMemory *memory, double *end) {
     before.outside = state->outside;
     memcpy(before.memory.leaves, memory->leaves, sizeof memory->leaves);
     memcpy(before.widest, state->widest, sizeof before.widest);
+    memcpy(before.left, state->left, sizeof before.left);
     *state = before;
     return well;
 }

@@ -127,6 +127,7 @@ typedef struct {
     Glance at_limits, before_limits; /* the last two points of model exchange */
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
+    double left[ROOM(N_LIMITS)];   /* last communication step outside each limit, from 1 on */
     double stop_time;              /* infinite where none was given */
     double tolerance;              /* relative, of co-simulation */
     double steps;                  /* of communication, taken since the start */

@@ -13,18 +13,21 @@ typedef struct {
 
 _Static_assert(N_LIMITS <= 32, "a bit for each limit");
 
-/* Warn once for each crossing of a limit; the run goes on. In model exchange a limit that has been
-   left is not watched any more, as margins beyond it may have poles; `valid` needs both directions.
- */
+/* Warn of a limit that is left, and again after a whole communication step inside, so that a motion
+   that chatters is told once; the run goes on. In model exchange a limit that has been left is not
+   watched any more, as margins beyond it may have poles; `valid` needs both directions. */
 static void note_side(Instance *self, int i, double time, bool inside) {
     const uint32_t bit = UINT32_C(1) << i;
-    uint32_t *left = &self->state.outside;
-    if (!inside && !(*left & bit))
+    State *state = &self->state;
+    const double step = state->steps + 1, last = state->left[i];
+    if (!inside && !(state->outside & bit) && (last == 0 || step > last + 1))
         log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
-    if (!inside)
-        *left |= bit;
-    else if (HAS_VALID || self->state.interface == INTERFACE_CS)
-        *left &= ~bit;
+    if (!inside) {
+        state->outside |= bit;
+        state->left[i] = step;
+    } else if (HAS_VALID || state->interface == INTERFACE_CS) {
+        state->outside &= ~bit;
+    }
 }
 
 /* What is not a number is outside. */

@@ -1,6 +1,7 @@
 """Validity conditions are located in time on every backend, whatever the output times are."""
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 
@@ -96,6 +97,22 @@ def test_co_simulation_with_every_solver(tmp_path, fmi, solver, limit):
     for master in ("fmpy", "c"):
         stats = fmu_stats(tmp_path, limit, fmi, solver, master=master)
         expect(stats, limit, 1e-4 if limit > 0.99 else 1e-7)
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+def test_an_importer_is_warned_once_of_a_limit_that_each_step_leaves(tmp_path, interface):
+    path = cosim.export_fmu(oscillator(0.9), tmp_path / "oscillator.fmu", valid=True)
+    told = list[bytes]()
+    fmpy.simulate_fmu(
+        path,
+        fmi_type=interface,
+        stop_time=100.0,  # it is left sixteen times
+        output_interval=10.0,
+        debug_logging=True,
+        logger=lambda *facts: told.append(facts[-1]),
+    )
+    (only,) = (text for text in told if b"invalid from" in text)
+    assert b"invalid from 1.1197" in only
 
 
 @pytest.mark.parametrize("limit", [0.9, 0.0])

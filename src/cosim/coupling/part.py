@@ -169,9 +169,8 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
     for name, variable in by_name(description).items():
         is_input = is_number(variable) and variable.causality == "input"
         source = is_number(variable) and variable.causality in ("output", "local")
-        start = (
-            is_settable(variable) and variable.causality != "structuralParameter"
-        )  # sizes are those of the file
+        # sizes are those of the file
+        start = is_settable(variable) and variable.causality != "structuralParameter"
         units = units_for(variable, description)
         kind = "array" if variable.dimensions else variable.type
         facts = unit_of(variable), is_input, source, start, units, kind, variable.declaredType

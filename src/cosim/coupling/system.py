@@ -256,9 +256,7 @@ class System:
         outputs: Sequence[str] | None,
     ) -> Trajectory:
         """Simulate by co-simulation; see `simulate`."""
-        names = (
-            None if outputs is None else self._resolved(listed(f"{self.name}: outputs", outputs))
-        )
+        names = None if outputs is None else self._resolved(outputs)
         with self.naming_files(), self._lock:  # which owns the instances of the parts
             try:
                 run = self._run(settings, given, self._recorded(names))
