@@ -67,7 +67,8 @@ class TomlFile:
 
     def reject_unknown(self, table: Key, found: Iterable[str], known: Collection[str]) -> None:
         """Reject keys of a table that it does not have."""
-        owner = f"[{table[0]}]" if table else "a scene"
+        whole = "a system" if "parts" in self.data else "a scene"
+        owner = f"[{table[0]}]" if table else whole
         for key in found:
             UnknownName.reject(f"{self.at(*table, key)}: {owner}", "key", known, key)
 

@@ -46,6 +46,7 @@ def test_shorter_run_has_the_first_times_of_the_longer_one(interval):
     ("arguments", "reason"),
     [
         ((0, -1, 0.1), "stop_time = -1 s lies before start_time = 0 s; give a later stop"),
+        ((0, 5e-324, 1e-3), "a run of 4.94066e-324 s has no steps; give a later stop"),
         ((0, math.nan, 0.1), "stop_time = nan is not finite"),
         ((math.inf, 1, 0.1), "start_time = inf is not finite"),
         ((0, "1", 0.1), "stop_time = '1' is not a real number"),

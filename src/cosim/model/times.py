@@ -30,7 +30,7 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
     """
     start, stop = number("run", "start_time", start), number("run", "stop_time", stop)
     interval = number("run", "output_interval", interval, positive=True)
-    reject_backward(start, stop)
+    reject_span(start, stop)
     if stop == start:
         return np.array([start])
     count = (stop - start) / interval
@@ -65,8 +65,8 @@ def one_time(a: ArrayLike, b: ArrayLike, start: float) -> Any:
     return np.abs(a - b) <= np.maximum(rounding, _NEAR * since)
 
 
-def reject_backward(start: float, stop: float, owner: str = "") -> None:
-    """Reject a stop time before the start time, s.
+def reject_span(start: float, stop: float, owner: str = "") -> None:
+    """Reject a stop time before the start time, or nearer than the least normal number, s.
 
     Raises:
         ParameterError: With the owner, e.g. "crank.fmu: ", first.
@@ -75,6 +75,8 @@ def reject_backward(start: float, stop: float, owner: str = "") -> None:
         raise ParameterError(
             f"{owner}stop_time = {stop:g} s lies before start_time = {start:g} s; give a later stop"
         )
+    if 0 < stop - start < np.finfo(float).tiny:
+        raise ParameterError(f"{owner}a run of {stop - start:g} s has no steps; give a later stop")
 
 
 def checked_grid(grid: ArrayLike) -> Vector:
@@ -128,7 +130,7 @@ class Times:
         if self.interval is not None:
             number("run", "output_interval", self.interval, positive=True)
         if self.stop is not None:
-            reject_backward(start, number("run", "stop_time", self.stop))
+            reject_span(start, number("run", "stop_time", self.stop))
 
     @classmethod
     def at(cls, times: ArrayLike, start: float = 0.0, stop: float | None = None) -> "Times":

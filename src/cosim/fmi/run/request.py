@@ -22,7 +22,7 @@ from cosim.fmi.units import display_of
 from cosim.model.driving import followed
 from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
-from cosim.model.times import one_time, reject_backward, time_grid
+from cosim.model.times import one_time, reject_span, time_grid
 from cosim.model.troughs import Trough
 from cosim.model.values import listed, number
 from cosim.trajectory import Column, Trajectory
@@ -200,7 +200,7 @@ def _times(
     start = number(str(name), "start_time", default("startTime", 0.0) if start is None else start)
     length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
     stop = number(str(name), "stop_time", start + length if stop is None else stop)
-    reject_backward(start, stop, f"{name}: ")
+    reject_span(start, stop, f"{name}: ")
     if interval is None:
         interval = default("stepSize", (stop - start) / 500) or 1.0
     interval = number(str(name), "output_interval", interval, positive=True)
