@@ -58,8 +58,8 @@ static bool decide_rules(void *owner, const Point *at, Decision *found) {
     return true;
 }
 
-static bool spread(void *owner, const Point *at, bool sized, double moved[]) {
-    (void)owner, (void)at, (void)sized;
+static bool spread(void *owner, const Point *at, double moved[]) {
+    (void)owner, (void)at;
     for (int i = 0; i < MODES; i++) moved[i] = 1;
     return true;
 }

@@ -85,31 +85,6 @@ def test_an_fmu_does_so_in_an_importer(fmi, interface):
     assert_all_at_its_time(found["time"], found["whole"], (found["n"], found["m"]))
 
 
-@cache
-def slow_clock():
-    """Return what passes its boundary at the last instant, by 1e-6 a second."""
-    model = cosim.Model("slow_clock", stop_time=STOP, output_interval=INTERVAL)
-    x, n = model.state("x", "1", 0.0, "way"), model.discrete("n", "1", 0.0, "passages")
-    model.derivative(x, 1e-6)
-    model.when(x >= STOP * 1e-6, {n: n + 1}, name="end of the way")
-    return model.freeze()
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_slow_state_reaches_its_boundary_at_the_last_instant(solver):
-    run = cosim.simulate(slow_clock(), solver=solver)
-    assert run["n"].tolist() == [0, 0, 0, 0, 0, 0, 1]
-
-
-@pytest.mark.parametrize(("fmi", "interface"), INTERFACES)
-def test_a_slow_state_does_so_in_an_fmu(fmi, interface):
-    path = cosim.export_fmu(slow_clock(), FOLDER / f"slow_clock_{fmi}.fmu", fmi=fmi)
-    found = fmpy.simulate_fmu(
-        path, fmi_type=interface, stop_time=STOP, output_interval=INTERVAL, output=["n"]
-    )
-    assert found["n"][-1] == 1
-
-
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_rounding_of_many_resets_at_output_times_does_not_add_up(solver):
     model = cosim.Model("saw", stop_time=20.0, output_interval=1.0)

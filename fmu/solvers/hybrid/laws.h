@@ -79,9 +79,8 @@ typedef struct {
     bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
     bool (*see)(void *owner, const Point *at, Seen *found);
     bool (*decide)(void *owner, const Point *at, Decision *found);
-    /* how far rounding of all that an argument depends on moves it, relative to 1; of states, that
-     * of their sizes, or of their values alone */
-    bool (*spread)(void *owner, const Point *at, bool sized, double moved[]);
+    /* how far rounding of all that an argument depends on moves it, relative to 1 */
+    bool (*spread)(void *owner, const Point *at, double moved[]);
     /* arguments of time alone at a time, and their rates; the others are not set */
     bool (*timed)(void *owner, const Point *at, double t, double arguments[], double rates[]);
     /* bounds of such arguments and of two time derivatives, from a time over a length */

@@ -84,9 +84,7 @@ static inline void measure(const Laws *laws, const Switching *s, const double mo
  * yet, and it passes all that rounding makes of it in a time that is none. */
 static inline bool is_passing(const Switching *s, double t, int i, double inside, double rate) {
     const double way = -rate * time_scale(s, t), slack = s->slack[i];
-    const double noise = slack <= SAME_TIME * way ? slack : s->least[i];
-    return s->state[i] != SLIDES && inside <= slack + noise + LOCATED * way &&
-           noise <= SAME_TIME * way;
+    return s->state[i] != SLIDES && inside <= 2 * slack + LOCATED * way && slack <= SAME_TIME * way;
 }
 
 /* Boundaries are where the author wrote them: what has been inside since its event is free. */
@@ -253,13 +251,10 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
 
 static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
     double moved[MODES + 1] = {0};
-    for (int sized = 0; sized < 2; sized++) {
-        double *noted = sized ? s->slack : s->least;
-        if (!laws->spread(laws->owner, at, sized, moved)) return;
-        /* never 0: what is at its boundary is inside, and a change of the sign shows it leaves */
-        for (int i = 0; i < MODES; i++)
-            noted[i] = DBL_MIN + (isfinite(moved[i]) ? ROUNDING * moved[i] : 0);
-    }
+    if (!laws->spread(laws->owner, at, moved)) return;
+    /* never 0: what is at its boundary is inside, and a change of the sign shows that it leaves */
+    for (int i = 0; i < MODES; i++)
+        s->slack[i] = DBL_MIN + (isfinite(moved[i]) ? ROUNDING * moved[i] : 0);
 }
 
 /* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */

@@ -21,7 +21,6 @@ typedef struct {
     double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
     double slack[MODES + 1];  /* by which rounding moves an argument */
     double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
-    double least[MODES + 1];  /* as slack, where states are as small as they are now */
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
