@@ -85,17 +85,6 @@ def test_an_fmu_does_so_in_an_importer(fmi, interface):
     assert_all_at_its_time(found["time"], found["whole"], (found["n"], found["m"]))
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_rounding_of_many_resets_at_output_times_does_not_add_up(solver):
-    model = cosim.Model("saw", stop_time=20.0, output_interval=1.0)
-    x, n = model.state("x", "1", 0.0, "way"), model.discrete("n", "1", 0.0, "resets")
-    model.derivative(x, 1.0)
-    model.when(x >= 1, {x: 0, n: n + 1}, name="reset")
-    run = cosim.simulate(model.freeze(), solver=solver)
-    times = [event.time for event in run.events]
-    np.testing.assert_allclose(times, np.arange(1, 21), atol=1e-13)
-
-
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8"])  # errors of others pass it
 def test_what_comes_to_rest_at_a_boundary_never_reaches_it(solver):
     """x' = k (1 - x) is 1 but for rounding from 40 / k on."""
@@ -104,17 +93,6 @@ def test_what_comes_to_rest_at_a_boundary_never_reaches_it(solver):
     model.derivative(x, 20 * (1 - x))
     model.when(x > 1, {n: n + 1}, name="beyond")
     assert cosim.simulate(model.freeze(), solver=solver).final["n"] == 0
-
-
-@pytest.mark.parametrize("start", [1e3, 1e4])
-def test_an_importer_that_starts_late_sees_events_in_their_rows(start):
-    """Its states are off by what rounding of the time adds up to, from one step to the next."""
-    span = {"start_time": start, "stop_time": start + 10, "output_interval": 0.5}
-    found = cosim.simulate_fmu(exported(3), interface="ModelExchange", **span)
-    last = found.time > start + STOP + 0.4
-    assert found["n"][last].tolist() == found["m"][last].tolist() == [1] * int(last.sum())
-    rows = np.round(found.time - start, 8)
-    np.testing.assert_array_equal(found["whole"], np.floor(rows))
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

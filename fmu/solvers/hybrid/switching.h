@@ -40,8 +40,7 @@ _Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it 
 
 static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
 static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
-static const double LOCATED = 128 * DBL_EPSILON; /* the same of events of states, as rounding of the
-                                                    steps of a long run adds up */
+static const double LOCATED = 8 * DBL_EPSILON; /* the same of located events of states */
 
 /* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
 static inline double time_scale(const Switching *s, double t) {
