@@ -100,6 +100,13 @@ def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float = 
     return np.asarray(times[(begin < times) & (times < end)])
 
 
+def pulse_within_a_step(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> bool:
+    """Return whether a whole pulse may lie within a step of a solver; see `pulse_times`."""
+    times = pulse_times(dae, p, begin, end, longest)
+    pulses = np.split(times, np.flatnonzero(np.diff(times) > longest) + 1)
+    return any(0 < np.ptp(pulse) < longest for pulse in pulses if len(pulse))
+
+
 def pulse_parameters(dae: Dae) -> tuple[str, ...]:
     """Return the parameters on which the terms of time depend."""
     terms = _of_time(dae)

@@ -14,7 +14,7 @@ from cosim.arrays import Integers, Vector
 from cosim.codegen.compiler import has_compiler
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.runge_kutta.lanes import fits_lanes
-from cosim.codegen.terms import pulse_times
+from cosim.codegen.terms import pulse_within_a_step
 from cosim.errors import (
     FmuError,
     InitialConditionError,
@@ -172,7 +172,10 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     resting = {v.name for v in dae.inputs}  # in each run
     if {*landmarks(dae).moving, *landmarks(dae).passed} - resting:
         return None
-    return None if len(pulse_times(dae, request.numbers.p, begin, end)) else solver
+    longest = request.max_step or end - begin
+    if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):
+        return None
+    return solver
 
 
 def usual_solver(request: RunRequest) -> Solver:
