@@ -34,7 +34,7 @@ def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
 @pytest.mark.usefixtures("optimized")
 def test_a_file_for_one_platform_is_small(name, tmp_path):
     path = cosim.export_fmu(cosim.load(name), tmp_path / "model.fmu")
-    assert path.stat().st_size < 420_000  # measured 60 to 404 kB
+    assert path.stat().st_size < 480_000  # measured 60 to 459 kB, bounds of limits included
 
 
 @pytest.mark.slow_rows(
