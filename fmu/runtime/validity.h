@@ -14,8 +14,8 @@ typedef struct {
 _Static_assert(N_LIMITS <= 32, "a bit for each limit");
 
 /* Warn of a limit that is left, and again after a whole communication step inside, so that a motion
-   that chatters is told once; the run goes on. In model exchange a limit that has been left is not
-   watched any more, as margins beyond it may have poles; `valid` needs both directions. */
+   that chatters causes one warning; the run goes on. In model exchange a limit that has been left
+   is not watched any more, as margins beyond it may have poles; `valid` needs both directions. */
 static void note_side(Instance *self, int i, double time, bool inside) {
     const uint32_t bit = UINT32_C(1) << i;
     State *state = &self->state;
