@@ -1,4 +1,4 @@
-"""`single_terms`, `time_terms`: parts of equations that one moving quantity alone determines."""
+"""`single_terms`: parts of equations that one moving quantity alone determines."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -47,7 +47,7 @@ def single_terms(dae: Dae) -> dict[int, SX]:
         time by the position after all states.
     """
     found = dict[int, list[SX]]()
-    for term in _terms(dae, through_calls=True):
+    for term in _terms(dae):
         if term.is_local:
             found.setdefault(term.moving, []).append(term.value)
     return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
@@ -63,7 +63,7 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
         not rest if what they depend on has no least size, (m, 1).
     """
     resting, inverse, sizes = list[SX](), list[SX](), dict[int, int]()
-    for node, operands in _nodes(dae, through_calls=True):
+    for node, operands in _nodes(dae):
         value, code = node.value, node.value.op()
         size = sizes[_key(node)] = 1 + sum(sizes[_key(operand)] for operand in operands)
         if node.moving != _MANY or size > _MOST_OPERATIONS or not operands:
@@ -76,32 +76,10 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
     return next(columns), next(columns)
 
 
-def time_terms(dae: Dae) -> SX:
-    """Return the terms of dx/dt and of the algebraic equations that depend on time alone.
-
-    These are the largest such subexpressions, except that a sum is split into its terms. Terms that
-    are linear in time, and functions that are called, are left out.
-
-    Returns:
-        Expressions of `dae.t` and `dae.p`, (n, 1).
-    """
-    if not ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t):
-        return SX(0, 1)
-    time = dae.x.numel()
-    own = [term.value for term in _terms(dae, through_calls=False) if term.moving == time]
-    bent = [term for term in own if ca.depends_on(ca.jtimes(term, dae.t, 1), dae.t)]
-    return ca.densify(ca.cse(ca.vertcat(SX(0, 1), *bent)))
-
-
-def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
-    """Return the largest terms that one quantity alone moves, each once.
-
-    Args:
-        dae: The equations.
-        through_calls: Whether a function that is called may be in a term.
-    """
+def _terms(dae: Dae) -> list[_Node]:
+    """Return the largest terms that one quantity alone moves, each once."""
     nodes, found = dict[int, _Node](), dict[int, _Node]()
-    for node, operands in _nodes(dae, through_calls=through_calls):
+    for node, operands in _nodes(dae):
         nodes[_key(node)] = node
         if node.moving == _MANY:
             found |= {_key(term): term for operand in operands for term in operand.terms}
@@ -110,13 +88,13 @@ def _terms(dae: Dae, *, through_calls: bool) -> list[_Node]:
     return list(found.values())
 
 
-def _nodes(dae: Dae, *, through_calls: bool) -> Iterator[tuple[_Node, list[_Node]]]:
+def _nodes(dae: Dae) -> Iterator[tuple[_Node, list[_Node]]]:
     """Yield every node of the equations once, after its operands, with these."""
     moving, nodes = _moving(dae), dict[int, _Node]()
     for key, value, keys in in_postorder(_roots(dae)):
         operands = [nodes[k] for k in keys]
         if operands:
-            nodes[key] = _combined(value, operands, through_calls=through_calls)
+            nodes[key] = _combined(value, operands)
         else:
             constant = _NONE if value.is_constant() else _MANY
             nodes[key] = _leaf(value, moving.get(key, constant))
@@ -144,12 +122,10 @@ def _leaf(value: SX, moving: int) -> _Node:
     return node._replace(terms=(node,)) if moving >= 0 else node
 
 
-def _combined(value: SX, operands: Sequence[_Node], *, through_calls: bool) -> _Node:
+def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
     """Return the node of an operation."""
     code, movers = value.op(), {operand.moving for operand in operands} - {_NONE}
     moving = movers.pop() if len(movers) == 1 else _MANY if movers else _NONE
-    if code == ca.OP_CALL and not through_calls:
-        moving = _MANY
     if moving < 0:
         return _Node(value, moving, (), is_local=False)
     divides = code != ca.OP_DIV or operands[-1].moving == moving
