@@ -9,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal, short
 from helpers.small_models import decay
 
 import cosim
@@ -30,21 +31,6 @@ NO_NAMES = ["x", 3, True, np.array(1.0), object(), [], {}]
 NO_MAPPING = ["x", 3, ["x"], [("x", 1.0)], np.ones(2)]
 NO_NUMBER = ["1", True, 1j, [1.0], np.ones(3), np.ones(1), np.array(1.0), {}, object()]
 NOT_FINITE = [float("nan"), float("inf"), -float("inf"), np.float64("nan"), 10**400]
-
-
-def short(value):
-    """Return the name of a case: the same in every process."""
-    return repr(value)[:20]
-
-
-def refusal(kind, call):
-    with pytest.raises(kind) as caught:
-        call()
-    assert isinstance(caught.value, CosimError)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert len(message) < 400
-    return message
 
 
 @pytest.mark.parametrize("wrong", NO_MODEL, ids=short)

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from helpers.refusals import refusal, short
 from helpers.small_models import decay
 
 import cosim
@@ -11,19 +12,6 @@ from cosim.errors import CosimError, UnknownName, UsageError
 
 DAE = decay()
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
-
-
-def short(value):
-    """Return the name of a case: the same in every process."""
-    return repr(value)[:20]
-
-
-def refusal(kind, call):
-    with pytest.raises(kind) as caught:
-        call()
-    assert isinstance(caught.value, CosimError)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 NO_COUNT = [0, -1, True, 1.5, "2", None, float("nan"), 10**25, [1], 1j]
