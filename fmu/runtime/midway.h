@@ -79,24 +79,18 @@ static void call_bounds(Instance *fmu, const Part *part, Equation *bounds, doubl
     for (int k = 0; k < BOUNDED_LIMITS; k++) low[k] = NAN;
 }
 
-/* Bounds of the margin of a limit at a place of `bounded_limits`, by `lows`; rates only if needed.
- */
-static Spanned spanned(Instance *fmu, const Part *part, const double lows[], int place) {
-    double low[BOUNDED_LIMITS], high[BOUNDED_LIMITS];
-    if (lows[place] >= 0) return (Spanned){lows[place], 0, 0};
-    call_bounds(fmu, part, model_limit_rates, low, high);
-    return (Spanned){lows[place], low[place], high[place]};
-}
-
+/* Bounds of the margin of one limit on a part; those of its rate only if they are needed. */
 static Spanned enclose_margin(void *margin, double begin, double end) {
     const Margin *self = margin;
-    double lows[BOUNDED_LIMITS];
+    double lows[BOUNDED_LIMITS], slowest[BOUNDED_LIMITS], fastest[BOUNDED_LIMITS];
     Part part;
     int place = 0;
     enclose_part(self, begin, end, &part);
     call_bounds(self->fmu, &part, model_limits, lows, NULL);
     while (bounded_limits[place] != self->limit) place++;
-    return spanned(self->fmu, &part, lows, place);
+    if (lows[place] >= 0) return (Spanned){lows[place], 0, 0};
+    call_bounds(self->fmu, &part, model_limit_rates, slowest, fastest);
+    return (Spanned){lows[place], slowest[place], fastest[place]};
 }
 
 /* The first times by bounds, of limits that have them; what slides obeys laws of its own. Returns
