@@ -4,7 +4,7 @@ from collections.abc import Collection, Container, Iterable, Sequence
 from math import isfinite
 
 import casadi as ca
-from casadi import SX
+from casadi import MX, SX
 
 COMPARING = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 RELATIONS = {
@@ -99,6 +99,19 @@ def is_cheaper(one: SX, other: SX) -> bool:
     graphs = [ca.Function("f", ca.symvar(e), [e], {"cse": True}) for e in (one, other)]
     fewer = operation_count(graphs[0]) < operation_count(graphs[1])
     return fewer and symbols(one).keys() <= symbols(other).keys() and are_equal(one, other)
+
+
+def linear_solution(matrix: MX, right: MX, *, transposed: bool = False) -> MX:
+    """Return the solution of linear equations, (n, m); not finite where there is none.
+
+    Args:
+        matrix: (n, n), with rows of similar size; see `Dae.balanced`.
+        right: Right-hand sides, (n, m).
+        transposed: Solve the equations of the transposed matrix.
+    """
+    # eps: by default, a column of small elements is taken for a singularity
+    method = ca.Linsol("linear_solution", "qr", matrix.sparsity(), {"eps": 0.0})
+    return method.solve(matrix, right, transposed)
 
 
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:

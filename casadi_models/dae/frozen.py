@@ -147,6 +147,20 @@ class Dae:
         return [self.t, self.x, self.z, self.u, self.p]
 
     @property
+    def balanced(self) -> SX:
+        """The residual of z, each row over the size of its coefficients, (nz, 1).
+
+        The sizes are those at the usual start, as expressions of the parameters. Rows of very
+        different sizes, as those of forces beside lengths, cost a linear solution its digits.
+        """
+        sizes = ca.sum2(ca.fabs(ca.densify(ca.jacobian(self.alg, self.z))))
+        starts = [variable.start or 0.0 for variable in (*self.algebraics, *self.inputs)]
+        here, usual = ca.vertcat(self.t, self.x, self.z, self.u), ca.DM([0, *self.x_start, *starts])
+        sizes = ca.substitute(sizes, here, SX(usual))
+        factors = 1 / ca.if_else(ca.logic_and(sizes > 0, sizes < inf), sizes, 1)
+        return self.alg * factors  # products, which cost less than quotients
+
+    @property
     def margins(self) -> SX:
         """The margins of its limits, (n, 1): positive while these hold."""
         return ca.vertcat(SX(0, 1), *(margin for margin, _ in self.limits))

@@ -17,7 +17,7 @@ from casadi import MX, SX
 
 from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import RELATIONS, column, operations
+from casadi_models.dae.expressions import RELATIONS, column, linear_solution, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
@@ -257,9 +257,9 @@ class Hybrid:
         dz = MX.zeros(w.numel())
         if dae.algebraics and ca.depends_on(ca.vertcat(*results), w):
             known, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, others[0])
-            pair = [ca.jacobian(dae.alg, dae.z), ca.jtimes(dae.alg, known, along)]
+            pair = [ca.jacobian(dae.balanced, dae.z), ca.jtimes(dae.balanced, known, along)]
             matrix, rate = ca.Function("slopes", given, pair)(*symbols)
-            dz = -ca.solve(matrix, ca.densify(rate), "qr")
+            dz = -linear_solution(matrix, ca.densify(rate))
         return ca.Function(name, symbols, [ca.densify(found) for found in law(*symbols, dz)])
 
     def rates(

@@ -40,13 +40,13 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     for integration and reduces the code to between a third and a half.
     """
     known = [sensitivities, True, True, sensitivities, sensitivities]
-    return _equations_function(dae, dae.p, dae.ode, dae.alg, known)
+    return _equations_function(dae, dae.p, dae.ode, dae.balanced, known)
 
 
 @cached_per_thread(16)
 def driven_equations(dae: Dae) -> ca.Function:
     """Return `dae(t, x, z, u, p) -> (ode, alg)` with all derivatives except those with p."""
-    return _equations_function(dae, dae.p, dae.ode, dae.alg, [True, True, True, True, False])
+    return _equations_function(dae, dae.p, dae.ode, dae.balanced, [True, True, True, True, False])
 
 
 @cached_per_thread(16)
@@ -56,19 +56,34 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
     c contains the parameters and all expressions that depend on them alone, which are calculated
     once instead of in every step. Without `sensitivities`, `dae` has no derivatives with c.
     """
-    rows, symbols, values = ca.extract_parametric(ca.vertcat(dae.ode, dae.alg), dae.p)
+    rows, c, constants = hoisted_laws(dae)
     nx = dae.x.numel()
     rates = [True, True, True, True, sensitivities]
-    c = ca.vertcat(dae.p, *symbols)
-    function = _equations_function(dae, c, rows[:nx], rows[nx:], rates)
-    return function, ca.Function("constants", [dae.p], [ca.vertcat(dae.p, *values)], {"cse": True})
+    return _equations_function(dae, c, rows[:nx], rows[nx:], rates), constants
+
+
+@cached_per_thread(16)
+def hoisted_laws(dae: Dae) -> tuple[SX, SX, ca.Function]:
+    """Return dx/dt and the residual of z by `hoisted`."""
+    return hoisted(dae, ca.vertcat(dae.ode, dae.balanced))
+
+
+def hoisted(dae: Dae, rows: SX) -> tuple[SX, SX, ca.Function]:
+    """Return a column as an expression of c, the symbols c, and the function `p -> c`.
+
+    c contains the parameters and all expressions of the column that depend on them alone.
+    """
+    rows, symbols, values = ca.extract_parametric(rows, dae.p)
+    c = ca.vertcat(SX(0, 1), dae.p, *symbols)
+    known = ca.densify(ca.vertcat(dae.p, *values))
+    return rows, c, ca.Function("constants", [dae.p], [known], {"cse": True})
 
 
 @cached_per_thread(16)
 def is_large(dae: Dae) -> bool:
     """Tell whether the symbolic Jacobian of a model is too long for generated code."""
     unknowns = ca.vertcat(dae.x, dae.u, dae.z)
-    return has_long_jacobian(dae.arguments, ca.vertcat(dae.ode, dae.alg), unknowns)
+    return has_long_jacobian(dae.arguments, ca.vertcat(dae.ode, dae.balanced), unknowns)
 
 
 def inputs_at(dae: Dae, inputs: Series | None, t: MX, u: MX) -> MX:

@@ -6,7 +6,8 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
-from cosim.codegen.functions import CALL, symbols_like
+from casadi_models.dae.expressions import linear_solution
+from cosim.codegen.functions import CALL, hoisted_laws, symbols_like
 from cosim.memo import cached_per_thread
 
 KNOWN = ["t", "x", "u", "p"]
@@ -53,20 +54,31 @@ def algebraic_function(dae: Dae) -> ca.Function:
     system here, are solved directly; others by Newton's method. The result is NaN if there is no
     solution.
     """
+    return _algebraic(dae, dae.balanced, dae.p)
+
+
+@cached_per_thread(16)
+def prepared_algebraic(dae: Dae) -> ca.Function:
+    """Return `model_algebraic(t, x, z, u, c) -> z`, with the constants c of `prepared`."""
+    rows, c, _ = hoisted_laws(dae)
+    return _algebraic(dae, rows[dae.x.numel() :], c)
+
+
+def _algebraic(dae: Dae, residual: SX, p: SX) -> ca.Function:
+    known = [dae.t, dae.x, dae.u, p]
+    t, x, z, u, _ = symbols_like(dae)
+    given = MX.sym("p", p.numel())
+    matrix = ca.jacobian(residual, dae.z)
     if not dae.algebraics:
-        return ca.Function("model_algebraic", dae.arguments, [SX(0, 1)], CALL, ["z_solved"])
-    matrix = ca.jacobian(dae.alg, dae.z)
-    t, x, z, u, p = symbols_like(dae)
-    if not ca.depends_on(matrix, dae.z):
-        offset = ca.substitute(dae.alg, dae.z, SX.zeros(dae.z.numel()))
-        linear = law_of_knowns(dae, "linear_alg", matrix, -offset)
-        slope, negated = linear(t, x, u, p)
-        solution = ca.solve(slope, negated, "qr")
+        solution = z
+    elif not ca.depends_on(matrix, dae.z):
+        offset = ca.substitute(residual, dae.z, SX.zeros(dae.z.numel()))
+        linear = ca.Function("linear_alg", known, [matrix, -offset], {"cse": True})
+        solution = linear_solution(*linear(t, x, u, given))
     else:
-        known = knowns(dae)
-        root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, p])
+        root, left = _newton_root("algebraic", dae.z, residual, known, z, [t, x, u, given])
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
-    return ca.Function("model_algebraic", [t, x, z, u, p], [solution], CALL, ["z_solved"])
+    return ca.Function("model_algebraic", [t, x, z, u, given], [solution], CALL, ["z_solved"])
 
 
 def usual_start(dae: Dae) -> tuple[ca.DM, ca.DM, list[float], list[float]]:
@@ -102,7 +114,7 @@ def _newton_root(
     slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
     options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
     root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
-    step = ca.solve(slope(root, *arguments), residual(root, *arguments), "qr")
+    step = linear_solution(slope(root, *arguments), residual(root, *arguments))
     return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))
 
 

@@ -15,6 +15,7 @@ from casadi import MX
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import linear_solution
 from casadi_models.dae.variational import variational
 from cosim.arrays import Vector
 from cosim.codegen.functions import CALL, equations, symbols_like
@@ -72,7 +73,7 @@ def variational_rhs(dae: Dae) -> ca.Function:
     dz = MX(0, nq)
     if nz:
         direct = ca.horzcat(MX(nz, nx), alg_by["p"], alg_by["u"])
-        dz = -ca.solve(alg_by["z"], alg_by["x"] @ slopes + direct, "qr")
+        dz = -linear_solution(alg_by["z"], alg_by["x"] @ slopes + direct)
         rates += ode_by["z"] @ dz
     stacked = [ca.vertcat(ode, ca.vec(rates)), ca.vertcat(z, ca.vec(dz))]
     dense = [ca.densify(column) for column in stacked]

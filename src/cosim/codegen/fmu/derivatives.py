@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
+from casadi_models.dae.expressions import linear_solution
 from cosim.codegen.functions import derivative_along, is_large, jacobian_in_a_loop
 from cosim.codegen.initialization import knowns
 from cosim.memo import cached_per_thread
@@ -38,7 +39,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
     implicit = ca.Function(
         "along",
         [*call, *seeds],
-        [ca.jacobian(dae.alg, dae.z), -ca.jtimes(dae.alg, variables, seed)],
+        [ca.jacobian(dae.balanced, dae.z), -ca.jtimes(dae.balanced, variables, seed)],
         {"cse": True},
     )
     variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
@@ -51,7 +52,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
-    sens_z = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    sens_z = linear_solution(matrix, right) if dae.algebraics else MX(0, 1)
     *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
     if looped:
         seed_x, seed_u, seed_p, seed_t = arguments[len(call) :]
@@ -71,7 +72,7 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
     call, known = dae.arguments, ca.vertcat(dae.x, dae.u)
     arguments = [argument_like(symbol) for symbol in call]
     if is_large(dae) if in_a_loop is None else in_a_loop:
-        laws, unknowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(known, dae.z)
+        laws, unknowns = ca.vertcat(dae.ode, dae.balanced), ca.vertcat(known, dae.z)
         pattern = ca.jacobian_sparsity(laws, unknowns)
         looped = jacobian_in_a_loop("blocks", _along_laws(dae), pattern)
         whole, nx, n = looped(ca.vertcat(*arguments)), dae.x.numel(), known.numel()
@@ -79,12 +80,12 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
             whole, [0, nx, whole.size1()], [0, n, whole.size2()]
         )
     else:
-        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.alg) for v in (known, dae.z)]
+        blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.balanced) for v in (known, dae.z)]
         written_out = ca.Function("blocks", call, blocks, {"cse": True})
         ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
     if not dae.algebraics:
         return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
-    z_known = -ca.solve(alg_z, ca.densify(alg_known), "qr")
+    z_known = -linear_solution(alg_z, ca.densify(alg_known))
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
 
@@ -92,7 +93,7 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
 @cached_per_thread(4)
 def _along_laws(dae: Dae) -> ca.Function:
     """Return the derivative of dx/dt and the algebraic equations along (x, u, z, p, t)."""
-    laws, unknowns = (dae.ode, dae.alg), (dae.x, dae.u, dae.z, dae.p, dae.t)
+    laws, unknowns = (dae.ode, dae.balanced), (dae.x, dae.u, dae.z, dae.p, dae.t)
     columns = ca.vertcat(*laws), ca.vertcat(*unknowns)
     return derivative_along("along_laws", dae.arguments, *columns)
 
@@ -108,9 +109,9 @@ def adjoint_function(dae: Dae) -> ca.Function:
     explicit, seed = ca.vertcat(dae.ode, dae.outputs), ca.vertcat(seeds[0], seeds[2])
     on_z = ca.jtimes(explicit, dae.z, seed, True) + seeds[1]
     implicit = ca.Function(
-        "back", [*call, *seeds], [ca.jacobian(dae.alg, dae.z).T, -on_z], {"cse": True}
+        "back", [*call, *seeds], [ca.jacobian(dae.balanced, dae.z), -on_z], {"cse": True}
     )
-    everything, all_seeds = ca.vertcat(explicit, dae.alg), ca.vertcat(seed, weight)
+    everything, all_seeds = ca.vertcat(explicit, dae.balanced), ca.vertcat(seed, weight)
     gradients = ca.Function(
         "back_all",
         [*call, *seeds, weight],
@@ -119,7 +120,9 @@ def adjoint_function(dae: Dae) -> ca.Function:
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
-    solved = ca.solve(matrix, right, "qr") if dae.algebraics else MX(0, 1)
+    solved = MX(0, 1)
+    if dae.algebraics:
+        solved = linear_solution(matrix, right, transposed=True)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
 
 
@@ -137,7 +140,7 @@ def start_directional_function(dae: Dae) -> ca.Function:
         moved = solved(*known, ca.vertcat(*rows), *seeds[1:])
         if rule.implicit:
             matrix, right = moved
-            moved = ca.solve(matrix, right, "qr")
+            moved = linear_solution(matrix, right)
         for row, value in zip(rule.states, ca.vertsplit(moved), strict=True):
             rows[row] = value
     every = ca.vertcat(MX(0, 1), *rows)

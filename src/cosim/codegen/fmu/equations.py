@@ -190,7 +190,7 @@ def _written_out(dae: Dae, scale: ca.DM) -> dict[str, SX]:
     u = [SX.sym(f"u{order}", dae.u.numel()) for order in range(4)]
     q = ca.vertcat(t0, h, rtol, *u, dae.p)
     moving = [t0 + s * h, _polynomial(u, s), scale * scaled]
-    ode, alg = ca.substitute([dae.ode, dae.alg], [dae.t, dae.u, dae.x], moving)
+    ode, alg = ca.substitute([dae.ode, dae.balanced], [dae.t, dae.u, dae.x], moving)
     return {"t": s, "x": scaled, "z": dae.z, "p": q, "ode": h * ode / scale, "alg": alg}
 
 

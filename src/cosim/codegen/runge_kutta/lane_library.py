@@ -13,6 +13,7 @@ from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import generated
 from cosim.codegen.compiler import cached_library, processor_abilities
+from cosim.codegen.functions import hoisted
 from cosim.codegen.initialization import start_function
 from cosim.codegen.runge_kutta.lanes import vector_text
 from cosim.codegen.runge_kutta.stage_sums import LANES, NAMES, dop853_sums
@@ -81,7 +82,7 @@ def lane_outputs(dae: Dae, lanes: int, *, limits_only: bool = False) -> ctypes.C
     """
     shown = ca.SX(0, 1) if limits_only else dae.outputs
     rows = ca.vertcat(ca.SX(0, 1), shown, dae.margins)
-    every, c, constants = _prepared(dae, rows)
+    every, c, constants = hoisted(dae, rows)
     observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], _CSE)
     sizes = {"LANES": lanes, "NX": dae.x.numel(), "NU": dae.u.numel(), "NP": dae.p.numel()}
     sizes |= {"NC": c.numel(), "NY": shown.numel(), "NL": len(dae.limits)}
@@ -107,13 +108,6 @@ def _compiled(kind: str, text: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(cached_library(key, lambda: text)))
 
 
-def _prepared(dae: Dae, rows: ca.SX) -> tuple[ca.SX, ca.SX, ca.Function]:
-    """Return expressions of c, the symbols c, and the function that computes c of p once."""
-    every, symbols, values = ca.extract_parametric(rows, dae.p)
-    c = ca.vertcat(ca.SX(0, 1), dae.p, *symbols)
-    return every, c, ca.Function("f", [dae.p], [ca.densify(ca.vertcat(dae.p, *values))], _CSE)
-
-
 def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
     rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
@@ -123,7 +117,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     sparsity = ca.jacobian_sparsity(observed, dae.x)
     _, columns = sparsity.get_triplet()
     needed = sorted(set(columns))
-    every, c, constants = _prepared(dae, ca.vertcat(dae.ode, observed))
+    every, c, constants = hoisted(dae, ca.vertcat(dae.ode, observed))
     nx, ny = dae.x.numel(), recorded.numel()
     read = dae.x[needed] if needed else ca.SX(0, 1)
     functions = {

@@ -13,8 +13,8 @@ from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.casadi_patches import REPORT
-from cosim.codegen.functions import equations, inputs_at, prepared, symbols_of
-from cosim.codegen.initialization import algebraic_function, projection_step
+from cosim.codegen.functions import inputs_at, prepared, symbols_of
+from cosim.codegen.initialization import prepared_algebraic, projection_step
 from cosim.codegen.kernel_library import law_text
 from cosim.codegen.runge_kutta.explicit_library import (
     MethodText,
@@ -115,16 +115,11 @@ def _compiled(
     system: Hybrid | None,
 ) -> tuple[str, ca.Function]:
     """Return the library of a method for a model, and from its parameters to its constants."""
-    if dae.algebraics:
-        function = equations(dae, sensitivities=False)
-        constants = ca.Function("constants", [dae.p], [dae.p])
-        t, x, z, u, c = symbols = symbols_of(function)
-        solved = algebraic_function(dae)(t, x, z, inputs_at(dae, inputs, t, u), c)
-    else:
-        function, constants = prepared(dae)
-        t, x, z, u, c = symbols = symbols_of(function)
-        solved = z
-    ode, _ = function(t, x, solved, inputs_at(dae, inputs, t, u), c)
+    function, constants = prepared(dae)
+    t, x, z, u, c = symbols = symbols_of(function)
+    now = inputs_at(dae, inputs, t, u)
+    solved = prepared_algebraic(dae)(t, x, z, now, c) if dae.algebraics else z
+    ode, _ = function(t, x, solved, now, c)
     projection = _projection(dae, inputs, c.numel()) if project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
     events = _events(system, inputs, c.numel()) if system else None
