@@ -229,7 +229,7 @@ def test_coupled_run_shows_the_share_of_simulated_time(monkeypatch):
     system = cosim.couple({"a": sampled()}, {})
     terminal = shown_at_once(monkeypatch)
     with shown_on_terminal(False):
-        system.simulate(stop_time=3000.0, macro_step=0.001, output_interval=3000.0)
+        system.simulate(stop_time=300.0, macro_step=0.001, output_interval=300.0)
     shares = [int(share) for share in re.findall(r"solving: (\d+) %", terminal.getvalue())]
     assert shares == sorted(shares)
     assert any(20 < share < 80 for share in shares)

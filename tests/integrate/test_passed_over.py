@@ -62,6 +62,7 @@ def test_a_bump_whose_bounds_overflow_is_not_passed_over(shape):
     assert abs(run["x_2"][-1] / right - 1) < 1e-2
 
 
+@pytest.mark.slow_rows("table")
 @pytest.mark.parametrize("kind", ["table", "formula"])
 def test_spikes_of_a_rest_between_are_not_passed_over(kind):
     places = np.arange(0.35, 70, 0.7)

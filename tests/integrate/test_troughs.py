@@ -90,6 +90,7 @@ def test_what_grows_from_a_trough_has_its_digits(case, solver):
     assert "grows again; ran with absolute_tolerance" in run.stats.note
 
 
+@pytest.mark.slow
 def test_the_oracle_keeps_the_invariant_of_prey_and_predators():
     starts, laws, stop = CASES["hunters"]
     run = cosim.simulate(model("hunters", starts, laws, stop), solver="dop853")
@@ -111,6 +112,7 @@ def test_a_trough_of_states_that_vanish_only_together_is_seen_between_output_tim
     assert "grows again; ran with absolute_tolerance" in run.stats.note
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", None])
 def test_many_runs_keep_the_digits(solver):
     starts, laws, stop = CASES["hunters"]
