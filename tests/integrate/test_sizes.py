@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import cosim
+from casadi_models.dae import Model
 
 CRANK = "crank_shaft/multipliers", "fx_A", {"segment_length": 1, "diameter": 1, "g": 1}
 PENDULUM = "double_pendulum/multipliers", "fz_O", {"length": 1, "diameter": 1, "m": 3, "g": 1}
@@ -41,3 +42,26 @@ def test_loads_of_an_fmu_grow_alike(interface, tmp_path):
     large = sized(dae, powers, 1e3)
     run = cosim.simulate_fmu(fmu, interface=interface, stop_time=1, start_values=large)
     np.testing.assert_allclose(run[load] / 1e12, known, rtol=0, atol=1e-7 * np.ptp(known))
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-3])
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_equations_of_volts_and_of_amperes_stand_beside_each_other(unit, bend):
+    """A capacitor discharges through two resistors, the second of them not quite linear."""
+    model = Model("divider", stop_time=5.0, output_interval=1.0)
+    v = model.state("v", "1", 1.0, "voltage")
+    first = model.algebraic("first", "1", 0.0, "current")
+    second = model.algebraic("second", "1", 0.0, "current")
+    node = model.algebraic("node", "1", 0.0, "voltage")
+    model.derivative(v, -first / unit)
+    model.equation(first - second)
+    model.equation(v - node - first / unit)
+    model.equation(node + bend * node**3 - 3 * second / unit)
+    dae = model.freeze()
+    right = cosim.simulate(dae, solver="rosenbrock", relative_tolerance=1e-11)["v"]
+    if not bend:
+        np.testing.assert_allclose(right, np.exp(-np.arange(6) / 4), rtol=1e-9)
+    for solver in ("dop853", "idas"):
+        run = cosim.simulate(dae, solver=solver)
+        # before, by idas in units of 1e-12: 3e-4, and no end by dop853
+        np.testing.assert_allclose(run["v"], right, rtol=1e-6)

@@ -75,8 +75,8 @@ def _algebraic(dae: Dae, residual: SX, p: SX) -> ca.Function:
         offset = ca.substitute(residual, dae.z, SX.zeros(dae.z.numel()))
         linear = ca.Function("linear_alg", known, [matrix, -offset], {"cse": True})
         solution = linear_solution(*linear(t, x, u, given))
-    else:
-        root, left = _newton_root("algebraic", dae.z, residual, known, z, [t, x, u, given])
+    else:  # its limit is one of the residual in the author's units
+        root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, given])
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, given], [solution], CALL, ["z_solved"])
 
