@@ -80,10 +80,14 @@ def operation_count(function: ca.Function) -> int:
     return sum(code not in moves for code in codes)
 
 
+def irregular_place(count: int) -> ca.DM:
+    """Return values between 0.2 and 0.8 that no formula prefers, (count, 1)."""
+    return ca.DM([0.2 + 0.6 * (k * _GOLDEN % 1) for k in range(1, count + 1)])
+
+
 def at_irregular_place(expression: SX, known: SX) -> ca.DM:
     """Return an expression where its symbols, a column, have values that no formula prefers."""
-    place = [0.2 + 0.6 * (k * _GOLDEN % 1) for k in range(1, known.numel() + 1)]
-    return ca.densify(ca.Function("at", [known], [expression])(place))
+    return ca.densify(ca.Function("at", [known], [expression])(irregular_place(known.numel())))
 
 
 def are_equal(one: SX, other: SX) -> bool:

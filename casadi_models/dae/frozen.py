@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from math import inf
+from math import inf, log
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ from casadi import SX
 from casadi_models.dae import packed, shown
 from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import operation_count
+from casadi_models.dae.expressions import irregular_place, operation_count
 from casadi_models.dae.invariants import CONSTRAINT_CONDITION, Closing, Invariant
 from casadi_models.dae.starts import StartRule, StartThrough
 from casadi_models.dae.variables import Experiment, ModeNames, Variable
@@ -150,15 +150,21 @@ class Dae:
     def balanced(self) -> SX:
         """The residual of z, each row over the size of its coefficients, (nz, 1).
 
-        The sizes are those at the usual start, as expressions of the parameters. Rows of very
-        different sizes, as those of forces beside lengths, cost a linear solution its digits.
+        The sizes are expressions of the parameters, and powers of 1024: rows of very different
+        sizes, as those of forces beside lengths, cost a linear solution its digits, but others
+        stay as they are, and two alike cancel exactly where the equations lose rank.
         """
         sizes = ca.sum2(ca.fabs(ca.densify(ca.jacobian(self.alg, self.z))))
-        starts = [variable.start or 0.0 for variable in (*self.algebraics, *self.inputs)]
-        here, usual = ca.vertcat(self.t, self.x, self.z, self.u), ca.DM([0, *self.x_start, *starts])
-        sizes = ca.substitute(sizes, here, SX(usual))
-        factors = 1 / ca.if_else(ca.logic_and(sizes > 0, sizes < inf), sizes, 1)
-        return self.alg * factors  # products, which cost less than quotients
+        others = (*self.algebraics, *self.inputs)
+        start = ca.DM([0.0, *self.x_start, *(variable.start or 0.0 for variable in others)])
+        nominal = ca.DM([1.0, *(variable.nominal for variable in (*self.states, *others))])
+        # beside the start, where a coefficient may vanish
+        place = start + nominal * irregular_place(start.numel())
+        sizes = ca.substitute(sizes, ca.vertcat(self.t, self.x, self.z, self.u), SX(place))
+        usual = [parameter.start for parameter in self.parameters]
+        known = ca.Function("sizes", [self.p], [sizes])(usual)
+        factors = 1024.0 ** -ca.floor(ca.log(ca.fmax(sizes, 1e-100)) / log(1024) + 0.5)
+        return self.alg * ca.if_else(ca.logic_and(known > 0, known < inf), factors, 1)
 
     @property
     def margins(self) -> SX:
