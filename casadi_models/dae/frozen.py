@@ -161,7 +161,7 @@ class Dae:
         # beside the start, where a coefficient may vanish
         place = start + nominal * irregular_place(start.numel())
         sizes = ca.substitute(sizes, ca.vertcat(self.t, self.x, self.z, self.u), SX(place))
-        usual = [parameter.start for parameter in self.parameters]
+        usual = [parameter.start or 0.0 for parameter in self.parameters]
         known = ca.Function("sizes", [self.p], [sizes])(usual)
         factors = 1024.0 ** -ca.floor(ca.log(ca.fmax(sizes, 1e-100)) / log(1024) + 0.5)
         return self.alg * ca.if_else(ca.logic_and(known > 0, known < inf), factors, 1)
