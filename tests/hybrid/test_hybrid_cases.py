@@ -15,7 +15,7 @@ CHEAP = ("cvodes", "idas")  # whose models compile within 1 s
 def rows():
     """Return all cases on all engines: every other case on a cheap one or one in turn is quick.
 
-    Of the other rows, every third engine in turn is slow, and the rest nightly.
+    Of the other rows, every sixth engine in turn is slow, and the rest nightly.
     """
     found = []
     for i, (name, case) in enumerate(CASES.items()):
@@ -24,7 +24,7 @@ def rows():
         of = engines if i % 8 == 1 else cheap
         quick = of[i // 8 % len(of)] if i % 2 else None
         for k, engine in enumerate(engines):
-            rest = pytest.mark.slow if (i + k) % 3 == 0 else pytest.mark.nightly
+            rest = pytest.mark.slow if (i + k) % 6 == 0 else pytest.mark.nightly
             marks = [] if engine == quick else [rest]
             found.append(pytest.param(name, engine, marks=marks))
     return found
