@@ -152,7 +152,7 @@ class Dae:
 
         The sizes are expressions of the parameters, and powers of 1024: rows of very different
         sizes, as those of forces beside lengths, cost a linear solution its digits, but others
-        stay as they are, and two alike cancel exactly where the equations lose rank.
+        stay as they are, and two equal ones cancel exactly where the equations lose rank.
         """
         sizes = ca.sum2(ca.fabs(ca.densify(ca.jacobian(self.alg, self.z))))
         others = (*self.algebraics, *self.inputs)
