@@ -4,6 +4,7 @@ SI inside; a number is converted once, where it is first written: ``6 * INCH`` i
 """
 
 import re
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -252,6 +253,11 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
     return Unit(factor, tuple((name, n) for name, n in base.items() if n))
 
 
+def represented(value: object) -> str:
+    """Return a value in a message: one line of bounded length."""
+    return " ".join(reprlib.repr(value).split())
+
+
 def known(name: object) -> bool:
     """Return whether a name is that of a unit, or a product of powers of units."""
     return isinstance(name, str) and parse_unit(name) is not None
@@ -265,7 +271,7 @@ def convert(value: float, unit: str, target: str) -> float:
     """
     for name in (unit, target):
         if not known(name):
-            raise ValueError(f"unit {name!r} is unknown; known are {', '.join(UNITS)}")
+            raise ValueError(f"unit {represented(name)} is unknown; known are {', '.join(UNITS)}")
     source = UNITS[unit]
     target_unit = parse_unit(target, source) or UNITS[target]
     source = parse_unit(unit, target_unit) or source

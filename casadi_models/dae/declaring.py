@@ -9,9 +9,9 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import shown
-from casadi_models.dae.expressions import quoted
+from casadi_models.dae.expressions import no_expression, quoted
 from casadi_models.dae.variables import Facts, Start, Variable, is_name, number
-from casadi_models.units import convert
+from casadi_models.units import convert, represented
 
 _SPREAD = 1e12  # a positive parameter may differ from its default by this factor, not more
 
@@ -24,9 +24,12 @@ class Declaring:
     """
 
     def __init__(self, name: str, formulation: str, display: Mapping[str, str]) -> None:
-        for part in (name, formulation or name):
-            if not is_name(part):
-                raise ValueError(f"{part!r} cannot name a model: use letters, digits and _")
+        for part in (name, formulation):
+            if not is_name(part) and not (isinstance(part, str) and part == "" != name):
+                wrong = represented(part)
+                raise ValueError(f"{wrong} cannot name a model: use letters, digits and _")
+        if not isinstance(display, Mapping):
+            raise ValueError(f"{name}: display is {represented(display)}; give units by SI unit")
         self._name, self._formulation = name, formulation
         self._display = dict(display)
         with self._naming_the_model():
@@ -172,8 +175,8 @@ class Declaring:
     def _expression(self, what: str, expression: Any) -> SX:
         try:
             return ca.densify(SX(expression))
-        except NotImplementedError:  # CasADi: wrong type of argument
-            raise self._refusal(f"{what} is {expression!r}; give an SX expression") from None
+        except Exception as error:  # of CasADi: wrong type of argument
+            raise self._refusal(no_expression(what, expression)) from error
 
     def _column(self, what: str, expression: Any, rows: int | None = None) -> SX:
         value = self._expression(what, expression)
@@ -193,4 +196,4 @@ class Declaring:
         return self._display.get(unit, unit)
 
     def _refusal(self, reason: str) -> ValueError:
-        return ValueError(f"{self._full_name}: {reason}")
+        return ValueError(" ".join(f"{self._full_name}: {reason}".split()))

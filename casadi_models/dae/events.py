@@ -10,7 +10,15 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.declaring import Declaring
-from casadi_models.dae.expressions import COMPARING, RELATIONS, column, operations, quoted, symbols
+from casadi_models.dae.expressions import (
+    COMPARING,
+    RELATIONS,
+    column,
+    no_expression,
+    operations,
+    quoted,
+    symbols,
+)
 
 
 @dataclass(frozen=True, eq=False)  # CasADi's == builds an expression
@@ -44,7 +52,7 @@ def smooth(expression: Any) -> SX:
     The same as `Model.smooth` of the model that declared the symbols of the expression.
 
     Raises:
-        ValueError: No model declared them all.
+        ValueError: No model declared them all, or it is no expression.
 
     Example:
         >>> import casadi
@@ -55,7 +63,10 @@ def smooth(expression: Any) -> SX:
         >>> round(cosim.simulate(model.freeze(), stop_time=1.0).final["v"], 6)
         0.5
     """
-    value = SX(expression)
+    try:
+        value = SX(expression)
+    except Exception as error:  # of CasADi: wrong type of argument
+        raise ValueError(no_expression("smooth: the expression", expression)) from error
     used = symbols(value)
     if not used:
         return value
@@ -127,7 +138,7 @@ class Happening(Declaring):
 
     def smooth(self, expression: Any) -> SX:
         """Return an expression whose relations are no events: it is smooth where they switch."""
-        value = self._expression("smooth expression", expression)
+        value = self._column("smooth expression", expression)
         self._smooth.append(value)
         return value
 

@@ -6,6 +6,8 @@ from math import isfinite
 import casadi as ca
 from casadi import MX, SX
 
+from casadi_models.units import represented
+
 COMPARING = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 RELATIONS = {
     *(ca.OP_LT, ca.OP_LE, ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMIN, ca.OP_FMAX),
@@ -122,6 +124,11 @@ def is_structurally_regular(residual: SX, unknowns: SX) -> bool:
     """Return whether every unknown can be matched to a residual of its own that depends on it."""
     jacobian = ca.jacobian_sparsity(residual, unknowns)
     return bool(ca.sprank(jacobian) == unknowns.numel() == residual.numel())
+
+
+def no_expression(what: str, value: object) -> str:
+    """Say that something is no expression."""
+    return f"{what} is {represented(value)}; give an SX expression"
 
 
 def quoted(names: Iterable[str]) -> str:

@@ -196,13 +196,29 @@ class Hybrid:
     def _descriptions(self) -> tuple[str, ...]:
         return tuple(map(self._described, self.relations))
 
-    @staticmethod
-    def _described(relation: Relation) -> str:
+    def _described(self, relation: Relation) -> str:
         symbols = ca.symvar(relation.argument)
         count = ca.Function("f", symbols, [relation.argument]).n_instructions()
+        nested = ca.depends_on(relation.argument, self.modes)
         # CasADi prints by recursion, and a deep expression would end the process
-        text = str(relation.argument) if count < 40 else ", ".join(s.name() for s in symbols[:8])
+        text = str(relation.argument) if count < 40 and not nested else "@"
+        if "@" in text:  # CasADi's name of a part that is used twice; modes are no variables
+            text = ", ".join([*self._variables_in(relation.argument)][:8])
         return f"{relation.operation} of {text}"
+
+    def _variables_in(self, expression: SX) -> dict[str, None]:
+        """Return the names of the variables of an expression, those in its modes included."""
+        modes = {m.element_hash(): i for i, m in enumerate(ca.vertsplit(self.modes))}
+        found, seen, symbols = dict[str, None](), set[int](), ca.symvar(expression)
+        while symbols:
+            symbol = symbols.pop(0)
+            i = modes.get(symbol.element_hash())
+            if i is None:
+                found[symbol.name()] = None
+            elif i not in seen:
+                seen.add(i)
+                symbols += ca.symvar(self.relations[i].argument)
+        return found
 
     def watching(self, name: str, *, closely: bool = True) -> ca.Function:
         """Return a function of t, x, z, u, p and du/dt, where z solves the algebraic equations.

@@ -7,6 +7,7 @@ from typing import Any, Unpack
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.arguments import refusing_arguments
 from casadi_models.dae.events import Happening
 from casadi_models.dae.expressions import (
     column,
@@ -19,9 +20,10 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.invariants import Closing, Invariant
 from casadi_models.dae.scenery import Scenery
 from casadi_models.dae.starts import AT_A_START, Starting, reject_disorder
-from casadi_models.dae.variables import Experiment, Facts, ModeNames, Start, Variable
+from casadi_models.dae.variables import Experiment, Facts, ModeNames, Start, Variable, number
 
 
+@refusing_arguments
 class Model(Starting, Happening, Scenery):
     """Builder of a `Dae`: declare, relate, freeze.
 
@@ -58,7 +60,7 @@ class Model(Starting, Happening, Scenery):
         output_interval: float = 0.01,
         reference_tolerance: float = 1e-10,
     ) -> None:
-        super().__init__(name, formulation, display or {})
+        super().__init__(name, formulation, {} if display is None else display)
         self._description, self._source = description, source
         with self._naming_the_model():
             self._experiment = Experiment(stop_time, output_interval, reference_tolerance)
@@ -164,7 +166,8 @@ class Model(Starting, Happening, Scenery):
         Args:
             value: Double root of the decay, 1/s; 0 does nothing.
         """
-        self._rate = SX.sym("closing_rate"), float(value)
+        with self._naming_the_model():
+            self._rate = SX.sym("closing_rate"), number(value, "closing_rate")
         return self._rate[0]
 
     # -- what has been declared ------------------------------------------------------------------

@@ -9,8 +9,8 @@ from casadi import SX
 
 from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.drawing import SIZES, WORLD, Arrow, Body, Drawing, Shape, Trace, World
-from casadi_models.dae.expressions import quoted, reject_faulty
-from casadi_models.units import convert
+from casadi_models.dae.expressions import no_expression, quoted, reject_faulty
+from casadi_models.units import convert, represented
 
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 _PATH = re.compile(r"[A-Za-z][A-Za-z0-9_ ']*")
@@ -65,6 +65,8 @@ class Scenery(Declaring):
         for what, direction in (("up", up), ("forward", forward)):
             if len(direction) != 3 or not any(direction):
                 raise self._refusal(f"{what} is {tuple(direction)}; give a direction (3,)")
+        if not isinstance(follow, str):
+            raise self._refusal(f"follow is {represented(follow)}; give the name of a body")
         if len(axes) != 3:
             raise self._refusal(f"axes are {tuple(axes)}; give three names")
         u, f = (tuple(float(c) for c in direction) for direction in (up, forward))
@@ -213,21 +215,23 @@ class Scenery(Declaring):
     def _matrix(self, what: str, value: Any, columns: int) -> SX:
         try:
             matrix = _dense(value)
-        except NotImplementedError:  # CasADi: wrong type of argument
-            raise self._refusal(f"{what} is {value!r}; give an SX expression") from None
+        except Exception as error:  # of CasADi: wrong type of argument
+            raise self._refusal(no_expression(what, value)) from error
         if matrix.shape != (3, columns):
             raise self._refusal(f"{what} has shape {matrix.shape}; give shape (3, {columns})")
         return matrix
 
     def _free(self, name: str, taken: Any, what: str) -> None:
         if not isinstance(name, str) or not all(map(_PATH.fullmatch, name.split("/"))):
-            raise self._refusal(f"{name!r} cannot name a {what}: use letters, digits, _ and blanks")
+            raise self._refusal(
+                f"{represented(name)} cannot name a {what}: use letters, digits, _ and blanks"
+            )
         if name in taken:
             raise self._refusal(f"{what} '{name}' is declared twice; choose another name")
 
     def _color(self, name: str, color: str) -> str:
         if not isinstance(color, str) or not _COLOR.fullmatch(color):
-            raise self._refusal(f"'{name}' has color {color!r}; write it as '#rrggbb'")
+            raise self._refusal(f"'{name}' has color {represented(color)}; write it as '#rrggbb'")
         return color
 
 

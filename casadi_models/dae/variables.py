@@ -7,7 +7,7 @@ from math import inf, isfinite
 from numbers import Real
 from typing import TypedDict
 
-from casadi_models.units import convert
+from casadi_models.units import convert, represented
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -69,12 +69,14 @@ class Variable:
     foreign_unit: bool = False
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and all(map(is_name, self.name.split(".")))):
+            raise ValueError(
+                f"{represented(self.name)} cannot name a variable: use letters, digits and _"
+            )
         if self.name == "time":
             raise ValueError(
                 "'time' cannot name a variable: it is the independent one; choose another"
             )
-        if not (isinstance(self.name, str) and all(map(is_name, self.name.split(".")))):
-            raise ValueError(f"{self.name!r} cannot name a variable: use letters, digits and _")
         if not self.foreign_unit:
             shown = self.unit if self.display_unit is None else self.display_unit
             try:
@@ -84,9 +86,13 @@ class Variable:
         if not (isinstance(self.meaning, str) and self.meaning.strip()):
             raise ValueError(f"{self.name}: the meaning is missing; describe it in a few words")
         if not isinstance(self.own_meaning, str):
-            raise ValueError(f"{self.name}: own_meaning {self.own_meaning!r} is not a text")
+            raise ValueError(
+                f"{self.name}: own_meaning {represented(self.own_meaning)} is not a text"
+            )
         if not isinstance(self.start_kind, Start):
-            raise ValueError(f"{self.name}: start_kind {self.start_kind!r} is not a Start")
+            raise ValueError(
+                f"{self.name}: start_kind {represented(self.start_kind)} is not a Start"
+            )
         self._settle_start()
         for fact in ("nominal", "minimum", "maximum"):
             object.__setattr__(self, fact, number(getattr(self, fact), f"{self.name}: {fact}"))
@@ -153,7 +159,7 @@ def number(value: object, what: str) -> float:
         ValueError: It is none (a bool, text, a symbol, nothing) or too large for a float.
     """
     if not isinstance(value, Real) or isinstance(value, bool):
-        raise ValueError(f"{what} is {value!r}; give a number")
+        raise ValueError(f"{what} is {represented(value)}; give a number")
     try:
         return float(value)
     except OverflowError:

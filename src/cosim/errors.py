@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
 from functools import wraps
@@ -10,6 +9,7 @@ from inspect import isfunction, signature
 from typing import Any, TypeVar
 
 from casadi_models import CATALOG
+from casadi_models.units import represented
 from cosim.text import Ending, EndKind, readable, shortened, visible
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
@@ -152,11 +152,6 @@ class CompilerTimeout(MissingTool):
 
 class CacheError(MissingTool):
     """A folder for compiled code that cannot be used, or that others could write to."""
-
-
-def represented(value: object) -> str:
-    """Return a value in a message: one line of bounded length."""
-    return " ".join(reprlib.repr(value).split())
 
 
 def near_names(name: str, names: Iterable[str], most: int = 3) -> list[str]:

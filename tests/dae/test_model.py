@@ -234,6 +234,52 @@ def test_what_is_no_expression_is_refused_wherever_one_is_due(model, wrong):
         model.inertia("frame", wrong)
 
 
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda m, x: m.when(x < 0, None), "when: values is None; give new values by state"),
+        (lambda m, x: m.every(1.0, [x]), r"every: values is \[.*\]; give new values by state"),
+        (lambda m, x: m.every(1.0, {x: 1}, offset="1"), "every: offset is '1'; give a number or"),
+        (lambda m, x: m.every(1.0, {x: 1}, offset=10**400), "every cannot use period = 1.0, val"),
+        (lambda m, x: m.when(x < 0, {x: 1}, name=SX.zeros(2, 2)), "when: name is .*; give a text"),
+        (lambda m, x: m.state("v", "m", 0, "v", foreign_unit=x), r"state: foreign_unit is SX\(x\)"),
+        (lambda m, x: m.state("v", "m", 0, "v", foreign_unit=x), r"state: foreign_unit is SX.x."),
+        (lambda m, x: m.state(np.zeros(2), "m", 0, "v"), r"array\(.*\) cannot name a variable"),
+        (lambda m, x: m.state("v", np.zeros((2, 2)), 0, "v"), r"v: unit array\(.*\) is unknown"),
+        (lambda m, x: m.closing_rate("1"), "closing_rate is '1'; give a number"),
+        (lambda m, x: m.name_modes(x, real=x), r"name_modes: real is SX\(x\); give a list"),
+        (lambda m, x: m.start_through(x, {}), "start_through: output is {}; give a text"),
+        (lambda m, x: m.rod("r", "ab", 1.0), "end of 'r' is 'a'; give an SX expression"),
+        (lambda m, x: m.rod("r", (), 1.0), r"rod cannot use name = 'r', ends = \(\), radius"),
+        (lambda m, x: m.shape("s", [], 1.0), r"shape: kind is \[\]; give a text"),
+        (lambda m, x: m.named(None), "named: name is None; give a text"),
+        (lambda m, x: m.world(up=1), "world: up is 1; give a list"),
+        (lambda m, x: m.world(follow=x), r"follow is SX\(x\); give the name of a body"),
+        (lambda m, x: m.smooth(np.zeros((2, 2))), r"smooth expression has shape \(2, 2\)"),
+        (lambda m, x: m.inertia("a\nb", 1.0), "inertia of a b has shape"),
+    ],
+)  # fmt: skip
+def test_argument_of_a_type_that_cannot_be_is_refused(model, call, said):
+    x = model.state("x", "m", 0.0, "stretch")
+    with refusal(said) as caught:
+        call(model, x)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400 or "known are" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "said"),
+    [
+        ({"display": ["m"]}, r"display is \['m'\]; give units by SI unit"),
+        ({"formulation": SX.zeros(2, 2)}, "cannot name a model"),
+        ({"formulation": 0}, "0 cannot name a model"),
+    ],
+)
+def test_model_of_arguments_that_cannot_be_is_refused(keywords, said):
+    with pytest.raises(ValueError, match=said):
+        Model("spring", **keywords)
+
+
 def test_expression_of_the_wrong_shape_is_refused(model):
     x, v = model.state("x", "m", 0.0, "stretch"), model.state("v", "m/s", 0.0, "rate")
     both = ca.vertcat(x, v)

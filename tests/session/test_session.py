@@ -252,6 +252,11 @@ def test_system_of_models_runs_as_one_model():
     model.derivative(place, 0.5 * (target - place))
     parts = {"first": decay(), "second": model.freeze()}
     system = cosim.couple(parts, {"second.target": "first.y"})
+    with cosim.open(system, copies=1) as copies, cosim.open(system) as session:
+        assert session.outputs == copies.outputs == system.dae.observed
+        assert session.get().tolist() == copies.get()[:, 0].tolist()
+        C = session.linearize().C
+        assert C.tolist() == session.linearize(system.dae.observed).C.tolist()
     with cosim.open(system, start_values={"first.x": 2.0}) as session:
         session.set({"first.force": 1.0})
         saved = session.save()

@@ -132,7 +132,11 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def named_scene(name: str) -> Scene:
     """Return a model as a scene without settings, or a scene by its file."""
-    return read_scene(name) if name.endswith(".toml") else Scene(name, RunRequest(load(name)))
+    return (
+        read_scene(name)
+        if name.endswith(".toml")
+        else Scene(name, RunRequest(load(name)), model=name)
+    )
 
 
 def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:

@@ -55,6 +55,7 @@ class Scene:
         request: The run: model, values, times, outputs, solver.
         title: One line of text.
         figures: Figures that `cosim plot` draws.
+        model: What the model was loaded by: MODEL or PATH.py:FUNCTION; empty if that is unknown.
 
     Example:
         >>> import cosim
@@ -67,6 +68,7 @@ class Scene:
     request: RunRequest
     title: str = ""
     figures: tuple[FigureSpec, ...] = ()
+    model: str = ""
 
     def __post_init__(self) -> None:
         expected = "what cosim.requested returns"

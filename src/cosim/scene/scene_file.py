@@ -118,22 +118,23 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         return Scene(system.name, RunRequest(system.dae), system.title)
     file = read_toml(place)
     file.reject_unknown((), file.data, _KEYS)
-    dae = _model(file)
+    model = _model_name(file)
+    with file.naming("model"):
+        dae = load(model)
     request = _request(file, dae)
     figures = read_figures(file, dae, request.outputs or ())
     title = _text(file, "title") if "title" in file.data else ""
-    return Scene(file.path.stem, request, title, figures)
+    return Scene(file.path.stem, request, title, figures, model)
 
 
-def _model(file: TomlFile) -> Dae:
+def _model_name(file: TomlFile) -> str:
     if "model" not in file.data:
         raise UsageError(f'{file.path}: the model is missing; write model = "NAME"')
     name = _text(file, "model")
     path, colon, function = name.rpartition(".py:")
     if colon:  # a user's own builder, in the folder of the scene
         name = f"{file.path.parent / path}{colon}{function}"
-    with file.naming("model"):
-        return load(name)
+    return name
 
 
 def _outputs(file: TomlFile, dae: Dae) -> tuple[str, ...]:

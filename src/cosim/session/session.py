@@ -77,7 +77,10 @@ class Session:
         self._description = description = file.description
         self._variables = by_name(description)
         self.inputs = tuple(v.name for v in inputs_of(description))
-        self.outputs = tuple(output_names(self.name, self._variables, None))
+        found = output_names(self.name, self._variables, None)
+        if dae is not None and {*found} == {*dae.observed}:
+            found = [*dae.observed]  # as in runs and copies; a file lists the states first
+        self.outputs = tuple(found)
         self.states = tuple(item.variable.derivative.name for item in description.derivatives)
         facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
         self._identity = hashlib.sha256(facts.encode()).digest()[:16]
@@ -141,7 +144,7 @@ class Session:
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
         self._used = False
-        self._values = Values(self.name, self._description, self._calls, self._check)
+        self._values = Values(self.name, self._description, self._calls, self._check, self.outputs)
         self._linearizers: dict[Any, Linearizer] = {}
         self._restarts: dict[tuple[str, ...], Restart] = {}
 
@@ -402,7 +405,9 @@ class Session:
         found = self._linearizers.get(key) if isinstance(key, tuple | None) else None
         if found is None:
             self._reject_samples()
-            found = Linearizer(self.name, self._description, self._calls, key)
+            found = Linearizer(
+                self.name, self._description, self._calls, self.outputs if key is None else key
+            )
             self._linearizers[found.outputs if key is not None else None] = found
         self._check(found.evaluate(), "GetDirectionalDerivative")
         return found.system()

@@ -9,7 +9,6 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.run.instance import by_name, is_number, unit_of
-from cosim.fmi.run.request import output_names
 from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.units import units_for
 from cosim.model.quantities import quantity
@@ -28,10 +27,10 @@ class Values:
         description: Of fmpy.
         calls: Of the instance.
         check: Raises the error of a status.
+        outputs: Names of the outputs.
 
     Attributes:
         inputs: Those that are one number.
-        outputs: Names of the outputs.
     """
 
     def __init__(
@@ -40,11 +39,12 @@ class Values:
         description: Any,
         calls: PreparedCalls,
         check: Callable[[int, str], None],
+        outputs: tuple[str, ...],
     ) -> None:
         self._name, self._description, self._calls, self._check = name, description, calls, check
         self._variables = by_name(description)
         self.inputs = inputs_of(description)
-        self.outputs = tuple(output_names(name, self._variables, None))
+        self.outputs = outputs
         self._selections: dict[Any, list[Group]] = {}
         self._setters: dict[str, tuple[Any, Group]] = {}
 

@@ -116,6 +116,20 @@ def test_gaps_are_left_out_and_several_records_count_together():
     assert found.values == pytest.approx({"k": 2.0, "x": 3.0}, rel=0.05)
 
 
+def test_start_values_of_each_record_are_its_own():
+    records = [noisy(seed, start=start) for seed, start in ((2, 3.0), (3, -1.0), (4, 5.0))]
+    found = fit(DECAY, records, {"x": 1.0, "k": (0.1, 10.0)}, each=["x"])
+    names = [f"x (record {number})" for number in (1, 2, 3)]
+    assert list(found.values) == [*names, "k"]
+    assert list(found.values.values()) == pytest.approx([3.0, -1.0, 5.0, 2.0], rel=0.03)
+    assert [run["x"][0] for run in found.runs] == [found.values[name] for name in names]
+    assert found.noise["x"] == pytest.approx(0.05, rel=0.1)
+    assert found.rank == 4
+    again = fit(DECAY, records[0], {"k": 1.0, "x": 1.0}, each=["x"])
+    assert list(again.values) == ["k", "x"]
+    assert cosim.simulate(found.dae, stop_time=0.1).values[0, 0] == found.values[names[0]]
+
+
 def test_robust_loss_is_not_moved_by_outliers():
     outliers = noisy(4)
     values = outliers.values.copy()
@@ -192,6 +206,12 @@ def test_fmu_is_fitted_by_finite_differences(tmp_path):
         ({"parameters": ["k"], "start_values": {"k": 1.0}}, UsageError, "give it once"),
         ({"parameters": ["k"], "starts": 3}, ParameterError, "need bounds of k"),
         ({"parameters": ["k"], "starts": 0}, ParameterError, "1 or more"),
+        ({"parameters": ["k"], "each": ["x"]}, UnknownName, "fit: each has no unknown 'x'"),
+        (
+            {"parameters": ["k"], "each": "k"},
+            UsageError,
+            "fit: each was given 'k'.*a list of names",
+        ),
         ({"parameters": ["k"], "loss": "hubber"}, UnknownName, "did you mean huber"),
         ({"parameters": ["k"], "noise": {"x": 0.0}}, ParameterError, "not positive"),
         ({"parameters": ["k"], "noise": {"z": 1.0}}, UnknownName, "measured variable"),
@@ -224,6 +244,33 @@ def test_command_fits_a_german_csv_file_and_writes_a_scene(tmp_path, capsys):
     assert fitted == pytest.approx({"alpha": 10.0, "omega": 50.0}, rel=1e-6)
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rank"] == 2
+
+
+OWN = """
+import cosim
+def build():
+    model = cosim.Model("drop")
+    x, a = model.state("x", "m", 1.0, "x"), model.parameter("a", "m/s", 1.0, "rate")
+    model.derivative(x, a)
+    return model.freeze()
+"""
+
+
+def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
+    (tmp_path / "own.py").write_text(OWN)
+    (tmp_path / "d.csv").write_text("time,x\n0,2\n1,5\n2,8\n3,11\n")
+    (tmp_path / "below").mkdir()
+    first, second = tmp_path / "first.toml", tmp_path / "below" / "second.toml"
+    words = ["--free", "x,a", "-o"]
+    assert main(["fit", f"{tmp_path}/own.py:build", f"{tmp_path}/d.csv", *words, str(first)]) == 0
+    assert main(["fit", str(first), f"{tmp_path}/d.csv", *words, str(second)]) == 0
+    assert 'model = "own.py:build"' in first.read_text()
+    assert 'model = "../own.py:build"' in second.read_text()
+    for scene in (first, second):
+        assert cosim.read_scene(scene).request.values == pytest.approx({"x": 2.0, "a": 3.0})
+    found = fit(DECAY, noisy(0), ["k"])
+    with pytest.raises(UsageError, match=r"decay: a scene names its model; give model="):
+        found.write_scene(tmp_path / "third.toml")
 
 
 def test_command_draws_measurements_over_a_run(tmp_path):

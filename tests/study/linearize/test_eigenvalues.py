@@ -119,7 +119,8 @@ def test_state_without_a_finite_derivative_is_rejected(law):
 @pytest.mark.parametrize("u", [1.0, -1.0])
 def test_corner_of_nested_saturations_is_rejected(u):
     dae = law_model(lambda x, u: -x + saturated(saturated(u)))
-    with pytest.raises(InitialConditionError, match=r"exactly at 0 .* another one on each side"):
+    said = r"^law: f(min|max) of [^@_]*u[^@_]* exactly at 0 at .* another one on each side"
+    with pytest.raises(InitialConditionError, match=said):
         cosim.linearize(dae, start_values={"u": u})
     assert cosim.linearize(dae, start_values={"u": 0.5 * u}).B.tolist() == [[1.0]]
     assert cosim.linearize(dae, start_values={"u": 2 * u}).B.tolist() == [[0.0]]

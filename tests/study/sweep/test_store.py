@@ -84,7 +84,12 @@ def take_the_neighbors(file):
     file.write_bytes((blocks[0].parent / "0" / file.relative_to(blocks[0])).read_bytes())
 
 
-DAMAGES = [os.unlink, flip_a_bit, cut, empty, take_the_neighbors]
+def replace_by_a_folder(file):
+    file.unlink()
+    file.mkdir()
+
+
+DAMAGES = [os.unlink, flip_a_bit, cut, empty, take_the_neighbors, replace_by_a_folder]
 
 
 @pytest.mark.slow_rows("status/c/1-unlink")
@@ -107,7 +112,7 @@ def test_a_damaged_block_is_named_and_computed_again(whole, folder, array, damag
     ["a/zarr.json", "status/zarr.json", "blocks/zarr.json", "blocks/digest/zarr.json", "p/c/1",
      "p/zarr.json", "time/c/0", "sum/zarr.json"],
 )  # fmt: skip
-@pytest.mark.parametrize("damage", [os.unlink, flip_a_bit, cut, empty])
+@pytest.mark.parametrize("damage", [os.unlink, flip_a_bit, cut, empty, replace_by_a_folder])
 def test_damaged_descriptions_and_samples_are_restored(whole, folder, file, damage):
     damage(folder / file)
     with Store.opened(layout(), folder, resume=True) as store:

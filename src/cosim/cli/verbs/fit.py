@@ -22,13 +22,15 @@ _FORMS = "A:B, A:C:B or VALUE[UNIT]"
 def run(args: argparse.Namespace) -> int:
     """Fit values, show them with their confidence, and write a scene or an FMU."""
     model: Any = args.model
-    dae, like, start, settings = None, None, dict[str, float](), dict[str, Any]()
+    dae, like, reference = None, None, ""
+    start, settings = dict[str, float](), dict[str, Any]()
     if args.model.endswith(".fmu"):
         if args.output_file:
             raise UsageError("-o writes a scene or an FMU of a model; an FMU was given")
         require_trust(args.model, trusted=args.trust)
     else:
-        request = named_scene(args.model).request
+        scene = named_scene(args.model)
+        request, reference = scene.request, scene.model
         model = dae = request.dae
         start, like = dict(request.values), model_columns(dae)
         settings["inputs"] = request.inputs
@@ -53,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
         model,
         measured=records,
         parameters=unknowns,
+        each=names_in(args.each) if args.each else (),
         start_values=start,
         noise=noise or None,
         loss=args.loss,
@@ -63,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if args.figure:
         found.plot(args.figure)
     if args.output_file:
-        _write(found, args.output_file)
+        _write(found, args.output_file, reference)
         note(args, args.output_file)
     if args.json:
         print(json.dumps(_as_json(found), indent=1))
@@ -75,10 +78,10 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(found: Fit, target: str) -> None:
+def _write(found: Fit, target: str, reference: str) -> None:
     """Write the fitted model as a scene or an FMU."""
     if target.endswith(".toml"):
-        found.write_scene(target)
+        found.write_scene(target, reference)
         return
     from cosim.fmi.export.package import export_fmu
 

@@ -40,6 +40,7 @@ def fit(
     measured: Trajectory | Sequence[Trajectory],
     parameters: Mapping[str, Any] | Sequence[str],
     *,
+    each: Sequence[str] = (),
     start_values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     loss: str = "linear",
@@ -61,6 +62,8 @@ def fit(
         parameters: The unknowns by name: None for the model's own value and bounds, an initial
             value, the bounds (low, high), or (low, initial value, high); SI. A list of names stands
             for None.
+        each: Unknowns that differ from record to record, such as start values; their names then are
+            "x (record 1)" and so on.
         start_values: Further values by name, SI.
         noise: Standard deviations of the outputs by name, SI; estimated from the residuals of each
             output when None.
@@ -100,8 +103,9 @@ def fit(
     UsageError.reject("fit: inputs", settings.get("inputs"), InputSeries | None, expected)
     subject = subject_of(model, settings)
     fixed = dict(start_values or {})
-    unknowns = Unknowns.of(subject, parameters, fixed)
-    problem = _Problem(subject, _records(subject, measured), unknowns, fixed)
+    records = _records(subject, measured)
+    unknowns = Unknowns.of(subject, parameters, fixed, each, len(records))
+    problem = _Problem(subject, records, unknowns, fixed)
     if problem.samples <= len(unknowns.names):
         raise ParameterError(
             f"fit: {problem.samples} measured values cannot determine {len(unknowns.names)} "
@@ -183,16 +187,16 @@ class _Problem:
             raise UsageError(f"fit: the noise of {missing[0]} is missing; give it, too")
         return np.array([number("fit: noise", n, given[n], positive=True) for n in self.names])
 
-    def values(self, x: Vector) -> dict[str, float]:
-        """Return all values of a run by name."""
-        own = dict(zip(self.unknowns.names, (x * self.unknowns.sizes).tolist(), strict=True))
-        return {**self.fixed, **own}
+    def values(self, x: Vector, record: int) -> dict[str, float]:
+        """Return all values of the run of a record by name."""
+        own = (x * self.unknowns.sizes).tolist()
+        return {**self.fixed, **{n: own[i] for n, i in self.unknowns.of_record(record).items()}}
 
     def residuals(self, x: Vector) -> Vector:
         """Return run minus measurement, SI, (samples,)."""
-        found, values = [], self.values(x)
-        for record, known in zip(self.records, self.known, strict=True):
-            own = self.subject.run(values, record.names, record.time)
+        found = []
+        for i, (record, known) in enumerate(zip(self.records, self.known, strict=True)):
+            own = self.subject.run(self.values(x, i), record.names, record.time)
             if len(own) < len(record):
                 raise SolverError(f"{self.subject.name}: the run stops before the last measurement")
             found.append((own.values - record.values)[known])
@@ -200,10 +204,13 @@ class _Problem:
 
     def slopes(self, x: Vector) -> Vector:
         """Return the derivatives of the residuals by the scaled unknowns, (samples, unknowns)."""
-        found, values = [], self.values(x)
-        for record, known in zip(self.records, self.known, strict=True):
-            own = self.subject.slopes(values, self.unknowns.names, record.names, record.time)
-            found.append(own[known])
+        found = []
+        for i, (record, known) in enumerate(zip(self.records, self.known, strict=True)):
+            places, values = self.unknowns.of_record(i), self.values(x, i)
+            own = self.subject.slopes(values, tuple(places), record.names, record.time)
+            rows = np.zeros((int(known.sum()), len(x)))
+            rows[:, [*places.values()]] = own[known]
+            found.append(rows)
         return np.concatenate(found) * self.unknowns.sizes
 
     def solved(
@@ -271,8 +278,11 @@ class _Problem:
         covariance[unknown] = covariance[:, unknown] = np.nan
         covariance[np.diag_indices(len(sizes))] = np.where(unknown, np.inf, np.diag(covariance))
         scales = relative * sizes
-        values = self.values(best.x)
-        runs = tuple(self.subject.run(values, r.names, r.time) for r in self.records)
+        values = [self.values(best.x, i) for i in range(len(self.records))]
+        runs = tuple(
+            self.subject.run(own, r.names, r.time)
+            for own, r in zip(values, self.records, strict=True)
+        )
         return Fit(
             columns=self.unknowns.columns,
             x=best.x * sizes,
@@ -285,6 +295,7 @@ class _Problem:
             noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
             samples=self.samples,
             start_values=self.fixed,
+            settled=values[0],
             records=self.records,
             runs=runs,
             subject=self.subject,

@@ -1,12 +1,15 @@
 """`Fit`: values, their confidence, and what the measurements cannot identify."""
 
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from casadi_models import CATALOG
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import UsageError, naming_arguments_of
@@ -36,6 +39,7 @@ class Fit:
         noise: Standard deviation of the noise of each output, SI: given or estimated.
         samples: Number of measured values.
         start_values: Further values of the runs, by name.
+        settled: All values of the run of the first record, by name in the model.
         records: The measurements.
         runs: Run with the fitted values for each record.
         subject: The model.
@@ -58,6 +62,7 @@ class Fit:
     noise: Mapping[str, float]
     samples: int
     start_values: Mapping[str, float]
+    settled: Mapping[str, float]
     records: tuple[Trajectory, ...]
     runs: tuple[Trajectory, ...]
     subject: Subject
@@ -89,13 +94,12 @@ class Fit:
 
     @property
     def dae(self) -> Dae:
-        """The model with the fitted values, e.g. for `export_fmu`.
+        """The model with the values of the first record, e.g. for `export_fmu`.
 
         Raises:
             UsageError: An FMU was fitted.
         """
-        values = {**self.start_values, **self.values}
-        return requested(self._model, start_values=values).configured()
+        return requested(self._model, start_values=self.settled).configured()
 
     @property
     def _model(self) -> Dae:
@@ -112,25 +116,43 @@ class Fit:
         """Draw the fitted run, the measurements and the residuals; see `Comparison.plot`."""
         return self.compare(record).plot(None if target is None else str(target))
 
-    def scene(self) -> str:
-        """Return a scene with the fitted values, as the text of a TOML file."""
+    def scene(self, model: str = "", folder: str | os.PathLike[str] = ".") -> str:
+        """Return a scene with the values of the first record, as the text of a TOML file.
+
+        Args:
+            model: MODEL or PATH.py:FUNCTION; what `fit` was given when empty.
+            folder: Where the scene will be, from which it finds PATH.
+
+        Raises:
+            UsageError: An FMU was fitted, or a `Dae` that no name stands for.
+        """
         dae = self._model
-        values = {**self.start_values, **self.values}
+        reference = model or getattr(self.subject, "reference", "")
+        if not (reference or dae.full_name in CATALOG):
+            raise UsageError(
+                f"{dae.full_name}: a scene names its model; give model='PATH.py:FUNCTION', or "
+                "export the model with its fitted values as an FMU"
+            )
+        path, colon, function = reference.rpartition(".py:")
+        if colon:
+            own = Path(os.path.relpath(f"{path}.py", folder)).as_posix()
+            reference = f"{own}:{function}"
         states = {v.name for v in dae.states if v.start_kind is Start.EXACT}
-        lines = [f'model = "{dae.full_name}"']
+        lines = [f"model = {json.dumps(reference or dae.full_name)}"]
         for section, belongs in (("parameters", False), ("start", True)):
-            chosen = {name: v for name, v in values.items() if (name in states) == belongs}
+            chosen = {name: v for name, v in self.settled.items() if (name in states) == belongs}
             if chosen:
                 lines += ["", f"[{section}]", *(f"{n} = {v!r}" for n, v in chosen.items())]
         return "\n".join(lines) + "\n"
 
-    def write_scene(self, target: str | os.PathLike[str]) -> None:
-        """Write the scene with the fitted values to a TOML file.
+    def write_scene(self, target: str | os.PathLike[str], model: str = "") -> None:
+        """Write the scene with the fitted values to a TOML file; `model` as in `scene`.
 
         Raises:
+            UsageError: As for `scene`.
             ExportError: The file cannot be written.
         """
-        write_atomically(target, self.scene().encode())
+        write_atomically(target, self.scene(model, Path(target).parent).encode())
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each value, in display units."""

@@ -40,10 +40,14 @@ class Known:
 
 @dataclass(frozen=True)
 class ModelSubject:
-    """A model; its derivatives are those of the variational equations, events included."""
+    """A model; its derivatives are those of the variational equations, events included.
+
+    `reference` is what it was loaded by: MODEL or PATH.py:FUNCTION; empty if that is unknown.
+    """
 
     dae: Dae
     settings: Mapping[str, Any]
+    reference: str = ""
     derivatives: ClassVar[str] = "variational equations"  # how they are computed
 
     @property
@@ -160,4 +164,4 @@ def subject_of(model: Dae | str | os.PathLike[str], settings: Mapping[str, Any])
         return ModelSubject(model, settings)
     if str(model).endswith(".fmu"):
         return FmuSubject(str(model), settings)
-    return ModelSubject(load(str(model)), settings)
+    return ModelSubject(load(str(model)), settings, str(model))

@@ -1,15 +1,15 @@
 """`Unknowns`: the values that a fit varies, with their bounds and initial values."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UsageError
-from cosim.model.values import number
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.model.values import listed, number
 from cosim.study.fit.subject import Subject
 from cosim.study.sweep.samples import design
 from cosim.trajectory import Column
@@ -23,37 +23,56 @@ class Unknowns:
 
     Attributes:
         columns: Their names, units and meanings.
+        places: Name in the model, and position of the record that the value is for; None for all.
         initial: Initial values, (n,).
         low, high: Bounds, (n,).
     """
 
     columns: tuple[Column, ...]
+    places: tuple[tuple[str, int | None], ...]
     initial: Vector
     low: Vector
     high: Vector
 
     @classmethod
-    def of(cls, subject: Subject, given: Any, fixed: Mapping[str, float]) -> "Unknowns":
-        """Return the unknowns that a user names; see `fit`."""
+    def of(
+        cls,
+        subject: Subject,
+        given: Any,
+        fixed: Mapping[str, float],
+        each: Collection[str],
+        records: int,
+    ) -> "Unknowns":
+        """Return the unknowns that a user names, those in `each` once a record; see `fit`."""
         if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
             raise UsageError.of_type("fit: parameters", given, "names, or bounds by name")
         if not given:
             raise UsageError("fit: nothing is unknown; name parameters or start values to fit")
         asked = dict(given) if isinstance(given, Mapping) else dict.fromkeys(given)
-        columns, rows = [], []
+        if each or not isinstance(each, tuple | list):
+            UnknownName.reject("fit: each", "unknown", asked, *listed("fit: each", each))
+        columns, places, rows = list[Column](), list[tuple[str, int | None]](), []
         for name, what in asked.items():
             if name in fixed:
                 raise UsageError(f"fit: {name} is in parameters and in start_values; give it once")
             known = subject.known(name)
-            columns.append(known.column)
-            rows.append(_row(name, what, known.start, (known.minimum, known.maximum)))
+            row = _row(name, what, known.start, (known.minimum, known.maximum))
+            for record in range(records) if name in each and records > 1 else (None,):
+                label = name if record is None else f"{name} (record {record + 1})"
+                columns.append(replace(known.column, name=label))
+                places.append((name, record))
+                rows.append(row)
         initial, low, high = np.array(rows).T
-        return cls(tuple(columns), initial, low, high)
+        return cls(tuple(columns), tuple(places), initial, low, high)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns."""
         return tuple(column.name for column in self.columns)
+
+    def of_record(self, record: int) -> dict[str, int]:
+        """Return the positions of the unknowns of one record, by name in the model."""
+        return {name: i for i, (name, own) in enumerate(self.places) if own in (None, record)}
 
     @property
     def sizes(self) -> Vector:

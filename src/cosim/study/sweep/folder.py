@@ -1,6 +1,7 @@
 """The zarr folder of a stored sweep: its arrays, the digests of its blocks and its lock."""
 
 import hashlib
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,6 +74,9 @@ class Folder:
         for key in described.keys() - {MANIFEST}:
             self._write(self.path / key, described[key].to_bytes())
         if not single:
+            for chunk in (self.path / name / "c").glob("*"):
+                if chunk.is_dir():
+                    _removed(chunk)
             self[name][:] = content
 
     def __getitem__(self, name: str) -> Any:
@@ -104,9 +108,9 @@ class Folder:
         return total.digest()
 
     def remove(self, names: Iterable[str], block: int) -> None:
-        """Remove the files of a block in some arrays."""
-        for file in [*self._files(names, block)]:
-            file.unlink()
+        """Remove what is stored of a block in some arrays."""
+        for name in names:
+            _removed(self.path / name / "c" / str(block))
 
     def remove_partial_files(self) -> None:
         """Remove files that a process was writing when it was killed."""
@@ -123,9 +127,19 @@ class Folder:
                 yield chunk
 
     def _write(self, place: Path, content: bytes) -> None:
+        if place.is_dir():
+            _removed(place)
         if not place.is_file() or place.read_bytes() != content:
             place.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(place, content)
+
+
+def _removed(place: Path) -> None:
+    """Remove a file, or a folder that stands in its place."""
+    if place.is_dir():
+        shutil.rmtree(place)
+    else:
+        place.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casadi_models.units import represented
 from cosim.arrays import Vector
-from cosim.errors import ParameterError, UnknownName, UsageError, represented
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.model.many_values import as_arrays
 from cosim.model.values import MOST_SEED, number, whole
