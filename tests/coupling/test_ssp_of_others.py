@@ -274,6 +274,18 @@ def test_mapping_renames_and_transforms_values(read, own_file):
     assert found.start_values == {("g", "k"): 13, ("h", "k"): 2}  # 4 2 + 5; b is not mapped
 
 
+def test_mapping_of_a_parameter_that_no_set_has_is_rejected(read):
+    rows = mapping(("a", "g.k", ""), ("b", "h.k", ""))
+    parts = component("g", "gain") + component("h", "gain")
+    one = '<ssd:ParameterBinding source="{}.ssv"><ssd:ParameterMapping source="m.ssm"/>{}'.format
+    sets = {"a_ssv": parameter_set(a=2), "b_ssv": parameter_set(b=3)}
+    first, second = (one(name, "</ssd:ParameterBinding>") for name in "ab")
+    shared = read(system("S", parts, bindings=bindings(first + second)), m_ssm=rows, **sets)
+    assert shared.start_values == {("g", "k"): 2, ("h", "k"): 3}  # each set has one of them
+    with pytest.raises(UnknownName, match=r"m\.ssm: the mapping to h\.k: .* no parameter 'b'"):
+        read(system("S", parts, bindings=bindings(first)), m_ssm=rows, **sets)
+
+
 def test_two_parameters_mapped_to_one_name_are_rejected(read):
     rows = mapping(("a", "g.k", ""), ("b", "g.k", ""))
     inner = f"<ssd:ParameterMapping>{rows}</ssd:ParameterMapping>"

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.units import conversion
 from cosim.coupling.ssp.package import Document
-from cosim.errors import ParameterError
+from cosim.errors import CosimError, ParameterError, UnknownName
 from cosim.fmi.units import Measured
 from cosim.model.quantities import quantity
 
@@ -94,12 +94,16 @@ def linear(document: Document, where: str, element: ET.Element) -> tuple[float, 
     return factor, real(document, f"offset of {where}", found.get("offset"))
 
 
-def bound_values(document: Document, element: ET.Element) -> Iterator[tuple[Document, str, Value]]:
+def bound_values(
+    document: Document, element: ET.Element, unmatched: dict[ET.Element, CosimError | None]
+) -> Iterator[tuple[Document, str, Value]]:
     """Yield the values that an element binds, in order, with the document that has them.
 
     Args:
         document: Where the element is.
         element: A system or a component.
+        unmatched: Gets each entry of a mapping: the error if no set so far has its source, else
+            None. One mapping may serve several sets.
 
     Raises:
         CosimError: A set or a mapping cannot be read.
@@ -116,7 +120,7 @@ def bound_values(document: Document, element: ET.Element) -> Iterator[tuple[Docu
             where = f"the parameter mapping of '{element.get('name')}'"
             targets = set[str]()
             for table, entries in _content(document, mapping, where, None, _MAPPING):
-                for target, value in _mapped(table, entries, values):
+                for target, value in _mapped(table, entries, values, unmatched):
                     if target in targets:
                         raise table.fault(f"two parameters are mapped to {target}; drop one")
                     targets.add(target)
@@ -170,12 +174,21 @@ def _number(document: Document, name: str, element: ET.Element) -> float | str:
 
 
 def _mapped(
-    document: Document, mapping: ET.Element, values: Mapping[str, Value]
+    document: Document,
+    mapping: ET.Element,
+    values: Mapping[str, Value],
+    unmatched: dict[ET.Element, CosimError | None],
 ) -> Iterator[tuple[str, Value]]:
     for entry in mapping.iterfind("MappingEntry"):
         source, target = entry.get("source", ""), entry.get("target", "")
-        if source not in values:  # one mapping may serve several sets
+        if not source:  # of a table that some tools write for all targets
             continue
+        if source not in values:
+            what = f"the mapping to {target}: the parameter set"
+            near = UnknownName.among(what, "parameter", source, values)
+            unmatched.setdefault(entry, document.fault(str(near), UnknownName))
+            continue
+        unmatched[entry] = None
         where = f"the mapping of {source} to {target}"
         if not target:
             raise document.fault(f"a mapping of {source} has no target; name one")

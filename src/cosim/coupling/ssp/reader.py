@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
@@ -192,14 +193,16 @@ class _System:
 
     def _assigned(self) -> dict[Node, tuple[Document, Value]]:
         """Return values by connector; those of a system replace those of its elements."""
-        found = dict[Node, tuple[Document, Value]]()
+        found, unmatched = dict[Node, tuple[Document, Value]](), dict[Any, CosimError | None]()
         for element in self._whole.walk():
             for document, xml in element.bound:
-                for place, name, value in bound_values(document, xml):
+                for place, name, value in bound_values(document, xml, unmatched):
                     nodes = list(self._named(element, name))
                     if not nodes:
                         raise self._unknown(element, place, name)
                     found.update(dict.fromkeys(nodes, (place, value)))
+        for error in filter(None, unmatched.values()):
+            raise error
         return found
 
     def _named(self, element: Element, name: str) -> Iterator[Node]:
