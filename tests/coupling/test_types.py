@@ -134,6 +134,13 @@ def test_value_that_a_type_does_not_have_is_rejected(name, value, reason, part):
         cosim.couple({"a": part}, {}, start_values={name: value})
 
 
+@pytest.mark.parametrize("law", ["3.7*t", 3.7])
+@pytest.mark.parametrize("name", ["count", "on", "mode"])
+def test_formula_for_an_input_that_is_no_real_number_is_rejected(name, law, part):
+    with pytest.raises(UsageError, match=f"a.{name}_in is of type .* only real inputs follow"):
+        cosim.couple({"a": part}, {}).simulate(macro_step=0.5, inputs={f"a.{name}_in": law})
+
+
 def test_integers_that_results_cannot_hold_are_named(part_3, tmp_path):
     large = changed(part_3, tmp_path / "large.fmu", "<Enumeration ", "<Int64 ")
     path = changed(large, tmp_path / "own.fmu", ' declaredType="Speed"', "")

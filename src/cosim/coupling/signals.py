@@ -12,6 +12,7 @@ from cosim.coupling.connectors import Connector, End
 from cosim.coupling.part import Part, free_name, part_of
 from cosim.coupling.values import target
 from cosim.errors import UsageError
+from cosim.fmi.run.instance import REALS
 from cosim.integrate.keywords import requested
 from cosim.model.driving import driven, with_tables
 from cosim.model.inputs import InputSeries
@@ -95,8 +96,14 @@ def _driven(
     """Return the unit of an input of a system or of a part, and what it sets."""
     _, ends, unit, _ = target(parts, connectors, name)
     for part, own in (end.variable for end in ends):
-        if not parts[part].variable(own).is_input:
+        variable = parts[part].variable(own)
+        if not variable.is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
+        if variable.type not in REALS:
+            raise UsageError(
+                f"{owner}: {name} is of type {variable.type}; only real inputs follow formulas "
+                "and tables, so give it a value with start_values"
+            )
     return unit if unit and parse_unit(unit) else "1", ends
 
 
