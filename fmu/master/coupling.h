@@ -455,7 +455,8 @@ static inline int settle_start(Coupling *self) {
 }
 
 static inline void answer_of(System *system, int (*task)(Coupling *)) {
-    Coupling self = {.system = system, .fmu = {.called = system->called}};
+    if (!system->texts) system->texts = new_texts();
+    Coupling self = {.system = system, .fmu = {.called = system->called, .texts = system->texts}};
     system->part = system->input = -1;
     for (long long p = 1; p < system->n_parts; ++p) {
         const Part *before = system->parts + p - 1;
@@ -463,13 +464,16 @@ static inline void answer_of(System *system, int (*task)(Coupling *)) {
         system->parts[p].first_output = before->first_output + before->outputs;
         system->parts[p].place = p;
     }
-    system->how = make_room(&self) ? CALL_FAILED : task(&self);
+    system->how = !system->texts || make_room(&self) ? CALL_FAILED : task(&self);
     system->function = self.fmu.function;
     system->status = self.fmu.status;
     for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
     free(self.memory);
     free(self.crew.members);
     free(self.crew_numbers);
+    if (task == settle_start && system->how == DONE) return;
+    free_texts(system->texts);
+    system->texts = NULL;
 }
 
 SHARED void settle_coupled(System *system) {

@@ -6,6 +6,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "texts.h"
+
 enum { OK, WARNING, DISCARD, FAILED };             /* status; FMI 2 and 3 agree */
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* kinds of FMI 2's status */
 enum { MOST_UPDATES = 1000 };                      /* of discrete states at one time */
@@ -55,6 +57,7 @@ typedef struct {
     const char *function;       /* field of what failed; NULL where nothing did */
     int status;                 /* and how */
     volatile long long *called; /* where a coupled system notes the part that it calls, or NULL */
+    Texts *texts;               /* of a coupled system, or NULL */
 } Fmu;
 
 /* Notes a failure; tells whether there is one. */

@@ -39,6 +39,7 @@ typedef struct {
     double *lowest, *highest; /* inputs in the first half of the run, then in all of it */
     bool *at_jumps;    /* rows within steps that no shortening makes accurate: either side counts */
     long long *called; /* the part that is being called, for who looks on; NULL */
+    Texts *texts;      /* NULL before the start is settled, and after the run */
     /* answers */
     long long how, rows, macro_steps, rejected, iterations, unsettled, forced, part, input, status;
     const char *function;

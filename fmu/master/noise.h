@@ -29,7 +29,7 @@ static inline double difference_of_halves(Coupling *self, Part *part, double len
         return 0;
     for (long long k = 0; k < system->inputs; ++k) {
         const long long output = system->source[k] - part->first_output;
-        if (output < 0 || output >= part->outputs) continue;
+        if (system->held[k] || output < 0 || output >= part->outputs) continue;
         const double off = system->factor[k] * (whole[output] - halves[output]);
         const double size = size_of(system, k, self->now.u[k]);
         found = fmax(found, fabs(off) / size);

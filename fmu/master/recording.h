@@ -1,4 +1,4 @@
-/* Variables of every kind that is a number, as doubles: what a run records, and what parts get. */
+/* Variables of every kind as doubles: what a run records, and what parts get. */
 #ifndef RECORDING_H
 #define RECORDING_H
 
@@ -8,7 +8,7 @@
 #include "fmu.h"
 
 /* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/c_structures.py. */
-enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8 };
+enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8, TEXT };
 
 static const double EXACT = 0x1p53; /* doubles below it hold every integer */
 
@@ -34,8 +34,9 @@ typedef struct {
     double *rows;
 } Recording;
 
-static inline double number(const Group *group, long long i) {
+static inline double number(Fmu *fmu, const Group *group, long long i) {
     switch (group->kind) {
+    case TEXT: return number_of_text(fmu->texts, ((const char **)group->buffer)[i]);
     case F32: return ((const float *)group->buffer)[i];
     case I8: return ((const int8_t *)group->buffer)[i];
     case U8: return ((const uint8_t *)group->buffer)[i];
@@ -50,8 +51,9 @@ static inline double number(const Group *group, long long i) {
     }
 }
 
-static inline void put_number(const Group *group, long long i, double value) {
+static inline void put_number(Fmu *fmu, const Group *group, long long i, double value) {
     switch (group->kind) {
+    case TEXT: ((const char **)group->buffer)[i] = text_of_number(fmu->texts, value); break;
     case F32: ((float *)group->buffer)[i] = (float)value; break;
     case I8: ((int8_t *)group->buffer)[i] = (int8_t)value; break;
     case U8: ((uint8_t *)group->buffer)[i] = (uint8_t)value; break;
@@ -77,8 +79,12 @@ static inline int get_row(Fmu *fmu, const Recording *self, double *out) {
             group->get_2 ? group->get_2(instance, group->references, n, group->buffer)
                          : group->get_3(instance, group->references, n, group->buffer, values);
         if (failed(fmu, group->function, status)) return 1;
-        for (long long i = 0; i < group->values; ++i, ++column)
-            if (*column >= 0) out[*column] = number(group, i);
+        for (long long i = 0; i < group->values; ++i, ++column) {
+            if (*column < 0) continue;
+            out[*column] = number(fmu, group, i);
+            if (group->kind == TEXT && out[*column] < 0)
+                return failed(fmu, "remembering a text", FAILED);
+        }
     }
     return 0;
 }
@@ -94,7 +100,7 @@ static inline int set_row(Fmu *fmu, const Recording *self, const double *in) {
             if (*column < 0) continue;
             if (group->kind != F64 && group->kind != F32 && !(fabs(in[*column]) < EXACT))
                 return failed(fmu, "setting an integer from 2^53 on", FAILED);
-            put_number(group, i, in[*column]);
+            put_number(fmu, group, i, in[*column]);
         }
         const int status =
             group->set_2 ? group->set_2(instance, group->references, n, group->buffer)

@@ -35,6 +35,11 @@ def chain(path, **options):
     return cosim.couple({"a": path, "b": path}, wires, start_values=values, **options)
 
 
+def listener(path, wires):
+    drive = "a.u" if path.stem == "typed_part_2" else "a.u[1]"
+    return cosim.couple({"a": path, "b": path}, wires, start_values={drive: 1.0})
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_values_of_every_type_pass_without_change(method, part):
     final = chain(part).simulate(method=method, macro_step=0.1).final
@@ -48,11 +53,35 @@ def test_texts_of_a_command_line_are_values_of_their_type(part):
     assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [0, 2147483647, 1]
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_texts_pass_from_part_to_part(method, part):
+    """x' = 1: `label` becomes "above" at 0.5 s; parts that step in turn see it at once."""
+    system = listener(part, {"b.label_in": "a.label", "b.on_in": "b.heard"})
+    run = system.simulate(method=method, macro_step=0.1, stop_time=0.9, output_interval=0.3)
+    assert run["b.heard"].tolist() == run["b.on"].tolist() == [0, 0, 1, 1]
+    assert not any("label" in name for name in run.names)
+
+
+def test_switch_of_a_text_is_located(part):
+    system = listener(part, {"b.label_in": "a.label"})
+    run = system.simulate(accuracy=1e-6, stop_time=0.9, output_interval=0.3)
+    assert run["a.above"].tolist() == run["b.heard"].tolist() == [0, 0, 1, 1]
+    assert 10 < run.stats["rejected_steps"] < 30  # to 1e-9 of the span; measured 13
+
+
+def test_ssp_file_keeps_connections_and_values_of_texts(part, tmp_path):
+    wires, values = {"b.label_in": "a.label"}, {"a.label_in": "above"}
+    system = cosim.couple({"a": part, "b": part}, wires, start_values=values)
+    found = cosim.read_ssp(system.write_ssp(tmp_path / "texts.ssp"))
+    assert [wire[:2] for wire in found.connections] == [(("b", "label_in"), ("a", "label"))]
+    final = found.simulate(macro_step=0.5, stop_time=0.5).final
+    assert (final["a.heard"], final["b.heard"]) == (1, 0)
+
+
 @pytest.mark.parametrize("method", ["extrapolated", "iterated"])
 def test_switch_of_a_boolean_is_located(method, part):
     """x' = 1 switches `above` at 0.5 s, which the next part passes on."""
-    drive = "a.u" if part.stem == "typed_part_2" else "a.u[1]"
-    system = cosim.couple({"a": part, "b": part}, {"b.on_in": "a.above"}, start_values={drive: 1.0})
+    system = listener(part, {"b.on_in": "a.above"})
     run = system.simulate(method=method, accuracy=1e-6, stop_time=0.9, output_interval=0.3)
     assert run["a.above"].tolist() == run["b.on"].tolist() == [0, 0, 1, 1]
     assert 10 < run.stats["rejected_steps"] < 30  # to 1e-9 of the span; measured 13
@@ -105,6 +134,8 @@ def test_float32_drives_float32_and_float64(part_3):
         ("b.on_in", "a.count", r"a.count \(Int32\) cannot drive b.on_in \(Boolean\)"),
         ("b.u[1]", "a.on", r"a.on \(Boolean\) cannot drive b.u\[1\] \(Float64\)"),
         ("b.mode_in", "a.on", r"cannot drive b.mode_in \(Enumeration\)"),
+        ("b.label_in", "a.on", r"a.on \(Boolean\) cannot drive b.label_in \(String\)"),
+        ("b.on_in", "a.label", r"a.label \(String\) cannot drive b.on_in \(Boolean\)"),
         ("b.u", "a.y", r"b.u is an array; connect its elements, such as b.u\[1\]"),
         ("b.u[1]", "a.y", r"a.y is an array"),
     ],

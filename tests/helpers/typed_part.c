@@ -2,7 +2,7 @@
  *
  * x' = A x + u, y = x, with n components; n, a structural parameter, may be set in configuration
  * mode only. Inputs of other types pass to outputs of their type; `above` tells whether x[1] >=
- * 0.5.
+ * 0.5, `label` says so in words, and `heard` whether `label_in` says it.
  */
 #include <stdbool.h>
 #include <stdint.h>
@@ -27,7 +27,10 @@ enum {
     MODE,
     ABOVE,
     LEVEL_IN,
-    LEVEL
+    LEVEL,
+    LABEL_IN,
+    LABEL,
+    HEARD
 };
 
 typedef struct {
@@ -36,6 +39,7 @@ typedef struct {
     int32_t count;
     int64_t mode;
     float level;
+    char label[64];
     double a[MOST * MOST], u[MOST], x[MOST], dx[MOST];
 } Instance;
 
@@ -69,7 +73,19 @@ static int copied(Instance *self, const unsigned *which, size_t n, double *value
 }
 
 static int truth(const Instance *self, unsigned which) {
+    if (which == HEARD) return strcmp(self->label, "above") == 0;
     return which == ABOVE ? self->x[0] >= 0.5 : self->on;
+}
+
+static int get_texts(const Instance *self, const unsigned *which, size_t n, const char **texts) {
+    for (size_t i = 0; i < n; ++i)
+        texts[i] = which[i] == LABEL_IN ? self->label : truth(self, ABOVE) ? "above" : "below";
+    return 0;
+}
+
+static int set_text(Instance *self, const char *text) {
+    strncpy(self->label, text, sizeof self->label - 1);
+    return 0;
 }
 
 static void step(Instance *self, double size) {
@@ -125,6 +141,12 @@ API int fmi3SetFloat64(void *c, const unsigned *which, size_t n, double *values,
         for (size_t i = 0; i < n; ++i) SET = v[i];                                                 \
         return (void)which, n == count ? 0 : 3;                                                    \
     }
+API int fmi3GetString(void *c, const unsigned *which, size_t n, const char **texts, size_t count) {
+    return n == count ? get_texts(c, which, n, texts) : 3;
+}
+API int fmi3SetString(void *c, const unsigned *which, size_t n, const char **texts, size_t count) {
+    return (void)which, n == 1 && count == 1 ? set_text(c, texts[0]) : 3;
+}
 TYPE(Boolean, bool, truth(self, which[i]), self->on)
 TYPE(Int32, int32_t, self->count, self->count)
 TYPE(Int64, int64_t, self->mode, self->mode)
@@ -197,6 +219,12 @@ API int fmi2SetInteger(Instance *self, const unsigned *which, size_t n, const in
         else
             self->mode = values[i];
     return 0;
+}
+API int fmi2GetString(void *c, const unsigned *which, size_t n, const char **texts) {
+    return get_texts(c, which, n, texts);
+}
+API int fmi2SetString(void *c, const unsigned *which, size_t n, const char **texts) {
+    return (void)which, n == 1 ? set_text(c, texts[0]) : 3;
 }
 API int fmi2DoStep(void *c, double time, double size) {
     return step(c, size), (void)time, 0;

@@ -48,7 +48,8 @@ def _description(second: bool) -> str:
             (name, kind, reference + 1, "output", None),
         )
     ]
-    rows.append(("above", "Boolean", 13, "output", None))
+    rows += [("above", "Boolean", 13, "output", None), ("heard", "Boolean", 18, "output", None)]
+    rows += [("label_in", "String", 16, "input", "none"), ("label", "String", 17, "output", None)]
     if second:
         rows += [("u", "Real", 3, "input", "0"), ("y", "Real", 4, "output", None)]
     else:
@@ -86,6 +87,8 @@ def _variable(
 ) -> str:
     variability = "" if kind in ("Real", "Float32") else ' variability="discrete"'
     facts = f'name="{name}" valueReference="{reference}" causality="{causality}"{variability}'
+    if kind == "String" and not second:
+        return f"<String {facts}>{'' if start is None else f'<Start value={start!r}/>'}</String>"
     own = ("" if start is None else f' start="{start}"') + (
         ' declaredType="Speed"' if kind == "Enumeration" else ""
     )

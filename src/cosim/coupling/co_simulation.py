@@ -32,7 +32,7 @@ from cosim.coupling.stability import Ranges, reject_instability
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
-from cosim.fmi.run.request import column_of, output_names, rounding
+from cosim.fmi.run.request import column_of, numbers_of, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
@@ -45,6 +45,7 @@ _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third run is usual
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _TIGHTEST = 1e-13
+_ANY_SIZE = 1e300  # of texts, which do not grow
 
 
 @dataclass(frozen=True)
@@ -283,7 +284,8 @@ class CoSimulation:
         steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
         parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
-        sizes = scale[:-1].copy()
+        texts = [v.type == "String" for v in self._input_variables]
+        sizes = np.where(texts, _ANY_SIZE, scale[:-1])
         reached = np.full((2, 2, len(self._inputs)), [[[np.inf]], [[-np.inf]]])
         guess = np.array([*map(start_number, self._input_variables), 0.0])
         system = SystemOfC(
@@ -438,9 +440,8 @@ class CoSimulation:
         found = {}
         for name in self._turns:
             part = self.parts[name]
-            known = output_names(part.path, by_name(part.description), None)
-            inputs = [v.name for v in part.inputs]
-            found[name] = [*known, *(v for v in inputs if v not in known)]
+            own = [v for v in part.description.modelVariables if v.causality == "output"]
+            found[name] = list(dict.fromkeys(numbers_of([*own, *part.inputs])))
         return found
 
     def _structures(

@@ -29,6 +29,7 @@ class Connector:
         is_input: Whether its value sets variables of parts: variable = factor value + offset.
             Otherwise it shows one: value = factor variable + offset.
         ends: The variables; one for an output.
+        is_text: Whether it is a text, which no run records.
     """
 
     name: str
@@ -36,11 +37,12 @@ class Connector:
     is_input: bool
     ends: tuple[End, ...]
     units: Mapping[str, Unit] = field(default_factory=dict)
+    is_text: bool = False
 
     @property
     def shows(self) -> bool:
-        """Whether it is an output of a part."""
-        return not self.is_input and len(self.ends) == 1
+        """Whether it is an output of a part, and can be recorded."""
+        return not self.is_input and len(self.ends) == 1 and not self.is_text
 
     def __str__(self) -> str:
         ends = ", ".join(".".join(end.variable) for end in self.ends) or "nothing"

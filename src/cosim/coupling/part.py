@@ -18,11 +18,10 @@ from cosim.fmi.run.instance import (
     NUMERIC,
     REALS,
     by_name,
-    is_number,
     read_description,
     unit_of,
 )
-from cosim.fmi.run.request import is_settable
+from cosim.fmi.run.request import holds_value, is_settable
 from cosim.fmi.run.typed_values import RANGES
 from cosim.fmi.units import Measured, change_of_units, units_for
 from cosim.integrate.keywords import named
@@ -167,8 +166,8 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         )
     found = {}
     for name, variable in by_name(description).items():
-        is_input = is_number(variable) and variable.causality == "input"
-        source = is_number(variable) and variable.causality in ("output", "local")
+        is_input = holds_value(variable) and variable.causality == "input"
+        source = holds_value(variable) and variable.causality in ("output", "local")
         # sizes are those of the file
         start = is_settable(variable) and variable.causality != "structuralParameter"
         units = units_for(variable, description)
@@ -189,10 +188,10 @@ def reject_types(
     for name, variable in ((sink, driven), (source, driving)):
         if variable.type == "array":
             raise UsageError(f"{name} is an array; connect its elements, such as {name}[1]")
-        if NUMERIC.fullmatch(variable.type) is None:
+        if NUMERIC.fullmatch(variable.type) is None and variable.type != "String":
             raise UsageError(
                 f"{name} is of type {variable.type}, which connections do not carry; connect "
-                "numbers, Booleans or enumerations"
+                "numbers, Booleans, enumerations or texts"
             )
     if not driven.takes(driving):
         other = " with other items" if driven.type == driving.type == "Enumeration" else ""

@@ -189,7 +189,8 @@ class _System:
         unit = next((one for one in (declared.unit, *units) if one.name), declared.unit)
         defined = {unit.name: unit.definition} if unit.name and unit.definition else {}
         is_input = declared.role is not Role.OUT and not way.steps
-        return Connector(name, unit.name, is_input, ends, defined)
+        text = any(self._variable(one.source).type == "String" for one in shown)
+        return Connector(name, unit.name, is_input, ends, defined, text)
 
     def _assigned(self) -> dict[Node, tuple[Document, Value]]:
         """Return values by connector; those of a system replace those of its elements."""

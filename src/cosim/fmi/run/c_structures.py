@@ -18,9 +18,9 @@ KINDS: dict[str, Any] = {
     "Float64": ctypes.c_double, "Float32": ctypes.c_float, "Int8": ctypes.c_int8,
     "UInt8": ctypes.c_uint8, "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16,
     "Int32": ctypes.c_int32, "UInt32": ctypes.c_uint32, "Int64": ctypes.c_int64,
-    "UInt64": ctypes.c_uint64, "Boolean": ctypes.c_bool,
+    "UInt64": ctypes.c_uint64, "Boolean": ctypes.c_bool, "String": ctypes.c_char_p,
 }  # fmt: skip
-_GETTERS_2 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Int32", "Enumeration": "Int32"}
+_GETTERS_2 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Int32", "String": "String"}
 
 # Fields of `Functions` in fmu/master/fmu.h: their names in FMI 2 and 3
 _FUNCTIONS = {

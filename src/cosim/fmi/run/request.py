@@ -1,6 +1,6 @@
 """`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -254,7 +254,7 @@ def checked_values(
         if variable not in variables:
             settable = [v.name for v in variables.values() if is_settable(v)]
             raise UnknownName.among(str(name), "start value", variable, settable)
-        if not _holds_value(variables[variable]):
+        if not holds_value(variables[variable]):
             raise UsageError(
                 f"{name}: {variable} is {_kind_of(variables[variable])}; only numbers, Booleans, "
                 "items of enumerations and texts can be set"
@@ -277,11 +277,17 @@ def _kind_of(variable: Any) -> str:
 
 def is_settable(variable: Any) -> bool:
     """Tell whether a variable is one number or text whose start value can be set."""
-    return may_be_set(variable) and _holds_value(variable)
+    return may_be_set(variable) and holds_value(variable)
 
 
-def _holds_value(variable: Any) -> bool:
+def holds_value(variable: Any) -> bool:
+    """Tell whether a variable is one number or one text."""
     return is_number(variable) or (variable.type == "String" and not variable.dimensions)
+
+
+def numbers_of(variables: Iterable[Any]) -> list[str]:
+    """Return the names of those variables that are numbers."""
+    return [variable.name for variable in variables if is_number(variable)]
 
 
 def output_names(
@@ -296,7 +302,7 @@ def output_names(
     """
     if outputs is None:
         own = [n for n, v in variables.items() if v.causality == "output" and n == v.name]
-        found = [n for n in own if is_number(variables[n])]
+        found = numbers_of(variables[n] for n in own)
         if own and not found:
             raise UsageError(
                 f"{name}: none of its outputs ({', '.join(own)}) is a number, so nothing "

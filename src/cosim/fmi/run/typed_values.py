@@ -15,7 +15,9 @@ _LARGEST_FLOAT32 = 3.4028234663852886e38
 
 
 def start_number(variable: Any) -> float:
-    """Return the start value of a variable of fmpy's that is a number; 0 if it has none."""
+    """Return the start value of a variable of fmpy's; 0 if it has none or is a text."""
+    if variable.type == "String":
+        return 0.0
     return float(_WORDS.get(variable.start, variable.start or 0.0))
 
 
