@@ -32,7 +32,7 @@ from cosim.coupling.stability import Ranges, reject_instability
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
-from cosim.fmi.run.request import column_of, numbers_of, rounding
+from cosim.fmi.run.request import column_of, numeric_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
@@ -441,7 +441,7 @@ class CoSimulation:
         for name in self._turns:
             part = self.parts[name]
             own = [v for v in part.description.modelVariables if v.causality == "output"]
-            found[name] = list(dict.fromkeys(numbers_of([*own, *part.inputs])))
+            found[name] = list(dict.fromkeys(numeric_names([*own, *part.inputs])))
         return found
 
     def _structures(

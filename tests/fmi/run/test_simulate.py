@@ -36,6 +36,22 @@ def test_run_ends_at_the_stop_time_and_keeps_the_interval(interface, fmi, fmus):
     assert run.stats["solver"] == f"fmpy {interface}"
 
 
+def test_output_called_time_does_not_take_the_place_of_the_time(fmus, tmp_path):
+    rename = set_attributes("ModelVariables/*[@name='y']", name="time")
+    path = with_description(fmus["decay", 2], tmp_path / "time.fmu", rename)
+    run = cosim.simulate_fmu(path)
+    assert run.names == ("x",)
+    assert "its output 'time' is left out" in run.stats["note"]
+    with pytest.raises(UsageError, match="the variable 'time' cannot be recorded"):
+        cosim.simulate_fmu(path, outputs=["time", "x"])
+    coupled = cosim.couple({"a": path}, {}).simulate(macro_step=0.5, stop_time=0.5)
+    assert coupled.final["a.time"] == pytest.approx(2 * np.exp(-0.25), rel=1e-6)  # y = 2 x
+
+
+def test_independent_variable_is_the_time_of_the_run(fmus):
+    assert cosim.simulate_fmu(fmus["decay", 2], outputs=["time", "y"]).names == ("y",)
+
+
 @INTERFACES
 def test_default_experiment_is_that_of_the_fmu(interface, fmus):
     run = cosim.simulate_fmu(fmus["decay", 2], interface=interface)

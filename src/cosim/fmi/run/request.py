@@ -30,6 +30,8 @@ from cosim.trajectory import Column, Trajectory
 DEFAULT_TOLERANCE = 1e-5  # of model exchange if neither user nor FMU gives one, as in fmpy
 MOST_POINTS = 10_000_000  # output times of a run
 _CONTINUOUS = ("Real", "Float64")
+TIME = "time"
+WHY_NOT_TIME = "since each result has the time of the run by this name; couple the FMU as a part"
 
 
 class MasterRun(NamedTuple):
@@ -285,7 +287,7 @@ def holds_value(variable: Any) -> bool:
     return is_number(variable) or (variable.type == "String" and not variable.dimensions)
 
 
-def numbers_of(variables: Iterable[Any]) -> list[str]:
+def numeric_names(variables: Iterable[Any]) -> list[str]:
     """Return the names of those variables that are numbers."""
     return [variable.name for variable in variables if is_number(variable)]
 
@@ -295,14 +297,14 @@ def output_names(
 ) -> list[str]:
     """Return the names of the variables to record, each once; by default the FMU's outputs.
 
-    The name of an array stands for its elements.
+    The name of an array stands for its elements. "time" means the time, which each result has.
 
     Raises:
-        UnknownName, UsageError: A variable does not exist or is not one number.
+        UnknownName, UsageError: A variable does not exist, is not one number, or is called "time".
     """
     if outputs is None:
-        own = [n for n, v in variables.items() if v.causality == "output" and n == v.name]
-        found = numbers_of(variables[n] for n in own)
+        own = [n for n, v in variables.items() if v.causality == "output" and n == v.name != TIME]
+        found = numeric_names(variables[n] for n in own)
         if own and not found:
             raise UsageError(
                 f"{name}: none of its outputs ({', '.join(own)}) is a number, so nothing "
@@ -313,6 +315,10 @@ def output_names(
     for output in listed(f"{name}: outputs", outputs):
         UnknownName.reject(str(name), "output", variables, output)
         one = variables[output]
+        if output == TIME and one.causality == "independent":
+            continue
+        if output == TIME:
+            raise UsageError(f"{name}: the variable 'time' cannot be recorded, {WHY_NOT_TIME}")
         numbers = elements_of(one, variables.values()) if one.dimensions else [one]
         if not numbers or not is_number(numbers[0]):
             raise UsageError(f"{name}: {output} is not a single number and cannot be recorded")

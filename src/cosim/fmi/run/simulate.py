@@ -8,9 +8,9 @@ from time import perf_counter
 from typing import Any
 
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import Interface
+from cosim.fmi.run.instance import Interface, by_name
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
-from cosim.fmi.run.request import FmuRequest, rounding
+from cosim.fmi.run.request import TIME, WHY_NOT_TIME, FmuRequest, rounding
 from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
@@ -96,10 +96,18 @@ def simulate_fmu(
         gaps,
         _small_states(request, run),
         rounding(request.recorded, run),
+        _left_out(request) if outputs is None else "",
     )
     note = "; ".join(filter(None, notes))
     stats = {**run.stats, "wall_time": perf_counter() - began}
     return replace(run, stats=stats | {"note": note} if note else stats)
+
+
+def _left_out(request: FmuRequest) -> str:
+    """Return a note if the FMU has an output whose name is that of the time."""
+    variable = by_name(request.description).get(TIME)
+    is_output = variable is not None and variable.causality == "output"
+    return f"its output 'time' is left out, {WHY_NOT_TIME}" if is_output else ""
 
 
 def _small_states(request: FmuRequest, run: Trajectory) -> str:
