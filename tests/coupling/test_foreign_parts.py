@@ -11,7 +11,7 @@ from helpers.foreign_part import foreign_part
 
 import cosim
 from cosim.coupling.files import read_system
-from cosim.errors import SolverError, UnknownName, UsageError
+from cosim.errors import FmuError, SolverError, UnknownName, UsageError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
 TIMES = {"stop_time": 1.0, "output_interval": 0.01}
@@ -46,6 +46,21 @@ def test_value_that_is_not_finite_ends_the_run_with_the_part_and_its_output(
         system.simulate(**way)
     assert np.isfinite(caught.value.partial.values).all()
     assert caught.value.partial.time[-1] == pytest.approx(0.4, abs=0.02)
+
+
+@EVERY_WAY
+def test_state_that_is_not_finite_ends_the_run_where_nothing_shows_it(way, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault="if (time > 0.4) self->x = NAN")
+    system = two_lags(bad, foreign_part(tmp_path, "lag"), {})
+    with pytest.raises(SolverError, match=r"part 'motor': its state x is not finite"):
+        system.simulate(**way, outputs=["load.y"])
+
+
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_state_that_is_not_finite_ends_the_run_of_the_fmu_alone(master, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault="if (time > 0.4) self->x = NAN")
+    with pytest.raises(FmuError, match="its state x is not finite at the end of the run"):
+        cosim.simulate_fmu(bad, outputs=["u"], master=master)
 
 
 @EVERY_WAY

@@ -76,10 +76,13 @@ API int fmi2Reset(void *c) {
 
 API int fmi2GetReal(void *c, const unsigned *references, size_t n, double *values) {
     const Instance *self = c;
+    double rate, y;
+    equations(self->x, self->u, &rate, &y);
     for (size_t i = 0; i < n; ++i)
         values[i] = references[i] == INPUT    ? self->u
-                    : references[i] == OUTPUT ? output(self)
-                                              : self->x;
+                    : references[i] == OUTPUT ? y
+                    : references[i] == STATE  ? self->x
+                                              : rate;
     return 0;
 }
 API int fmi2SetReal(void *c, const unsigned *references, size_t n, const double *values) {

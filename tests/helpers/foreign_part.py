@@ -20,10 +20,13 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
         initial="calculated"><Real/></ScalarVariable>
     <ScalarVariable name="x" valueReference="2" causality="local" variability="continuous"
         initial="exact"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="der(x)" valueReference="3" causality="local" variability="continuous"
+        initial="calculated"><Real derivative="3"/></ScalarVariable>
   </ModelVariables>
   <ModelStructure>
     <Outputs><Unknown index="2"/></Outputs>
-    <InitialUnknowns><Unknown index="2"/></InitialUnknowns>
+    <Derivatives><Unknown index="4"/></Derivatives>
+    <InitialUnknowns><Unknown index="2"/><Unknown index="4"/></InitialUnknowns>
   </ModelStructure>
 </fmiModelDescription>"""
 ABILITIES = {

@@ -32,7 +32,7 @@ from cosim.coupling.stability import Ranges, reject_instability
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
-from cosim.fmi.run.request import column_of, numeric_names, rounding
+from cosim.fmi.run.request import column_of, lost_state, numeric_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
@@ -330,6 +330,12 @@ class CoSimulation:
                 library.run_coupled(ctypes.byref(system))
         del held
         run = self._result(system, settings, times, tables, columns, parts, bool(interrupts))
+        lost = {n: lost_state(p.instance, p.description) for n, p in self._called(task.called)}
+        for name, state in lost.items():
+            if state:
+                why = f"part '{name}': its state {state} is not finite at the end of the run"
+                run = replace(run, status=f"stopped: {why}")
+                raise SolverError(f"{self.name}: {why}", partial=run)
         return run, jumps, Ranges(reached[0], reached[1], sizes, float(system.mismatch))
 
     def _result(

@@ -35,7 +35,7 @@ from cosim.fmi.run.instance import (
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python
-from cosim.fmi.run.request import FmuRequest, MasterRun
+from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
@@ -113,7 +113,7 @@ class OpenedFmu:
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
-            _reject_not_finite(found, request)
+            _reject_not_finite(found, request, lost_state(instance, self.description))
         except BaseException as error:
             self._drop()  # its state is unknown
             if isinstance(error, Exception) and not isinstance(error, MissingTool):
@@ -179,12 +179,14 @@ class OpenedFmu:
         self._instance = self._master = None
 
 
-def _reject_not_finite(run: MasterRun, request: FmuRequest) -> None:
+def _reject_not_finite(run: MasterRun, request: FmuRequest, lost: str) -> None:
     finite = np.isfinite(run.rows)
     if not finite.all():
         row = int(np.argmin(finite.all(axis=1)))
         name = request.recorded[int(np.argmin(finite[row]))].name
         raise FmuError(f"{name} is not finite at {run.times[row]:g} s")
+    if lost:
+        raise FmuError(f"its state {lost} is not finite at the end of the run")
 
 
 def still_open(path: str | os.PathLike[str], interface: str | None) -> OpenedFmu:

@@ -12,6 +12,7 @@ from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Layout, elements_of, with_elements
 from cosim.fmi.run.instance import (
     Interface,
+    access_to,
     by_name,
     is_number,
     may_be_set,
@@ -376,6 +377,22 @@ def _states(description: Any) -> frozenset[str]:
     """Return the names of the states that the equations of an FMU have."""
     rates = (variable.derivative for variable in description.modelVariables)
     return frozenset(state.name for state in rates if state is not None)
+
+
+def lost_state(instance: Any, description: Any) -> str:
+    """Return the name of a state that is not finite; the empty text if none is, or none is told."""
+    from fmpy.fmi1 import FMICallException
+
+    states = [by_name(description)[name] for name in sorted(_states(description))]
+    states = [variable for variable in states if is_number(variable)]  # of arrays the elements
+    if not states:
+        return ""
+    try:
+        values = access_to(states, instance, description).get()
+    except FMICallException:
+        return ""
+    finite = np.isfinite(np.array(values, dtype=float))
+    return "" if finite.all() else str(states[int(np.argmin(finite))].name)
 
 
 @lru_cache(8)
