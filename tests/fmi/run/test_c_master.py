@@ -9,6 +9,7 @@ from helpers.ball import ball_fmu, free_fall
 from helpers.fmi_cases import INTERFACES, VERSIONS
 from helpers.hostile import hostile, hostile_binary
 from helpers.small_models import decay
+from helpers.wrapped import wrapped
 
 import cosim
 from cosim.cli.main import main
@@ -225,3 +226,11 @@ def test_run_that_begins_at_a_time_stamp_ends_where_asked(interface, master, fmu
     assert (len(run), run.time[0], run.time[-1]) == (101, 1.7e9, 1.7e9 + 1)
     exact = np.exp(-0.5 * (run.time - 1.7e9))
     np.testing.assert_allclose(run["x"], exact, rtol=1e-5)  # double precision tells 2e-7 s apart
+
+
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_nominal_value_that_is_not_positive_counts_as_1(master, tmp_path):
+    zero = "fmi2Status s = CALL; for (size_t i = 0; i < n; i++) x[i] = 0; return s;"
+    path = wrapped(tmp_path, fmi2GetNominalsOfContinuousStates=zero)
+    run = cosim.simulate_fmu(path, interface="ModelExchange", master=master)
+    assert run.final["y"] == pytest.approx(2 * np.exp(-0.5), rel=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.run.arrays import elements_of
-from cosim.fmi.run.request import FmuRequest
+from cosim.fmi.run.request import FmuRequest, nominals_of
 from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
 from cosim.model.troughs import Trough, deepest_trough
 
@@ -61,7 +61,7 @@ class Deviations:
             self.names,
             np.array(times),
             np.array(states).T,
-            self._block(self._instance.getNominalsOfContinuousStates),
+            nominals_of(self._instance, len(self.names)),
             lambda times, states: np.array([*map(self._rates, times, states.T)]).T,
             self._slopes,
         )
@@ -95,9 +95,7 @@ class Deviations:
             return np.full(len(states), np.nan)
 
     def _slopes(self, time: float, states: Vector) -> Vector:
-        sizes = np.maximum(
-            np.abs(states), self._block(self._instance.getNominalsOfContinuousStates)
-        )
+        sizes = np.maximum(np.abs(states), nominals_of(self._instance, len(states)))
         shifts = np.diag(_STEP * sizes)
         columns = [
             (self._rates(time, states + shift) - self._rates(time, states - shift))

@@ -35,7 +35,7 @@ from cosim.fmi.run.instance import (
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python
-from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state
+from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state, nominals_of
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
@@ -287,11 +287,7 @@ def _prepare_exchange(instance: Any, request: FmuRequest, run: Run) -> Vector:
     run.next_defined = isfinite(next_event)
     run.next_event = next_event if isfinite(next_event) else 0.0
     run.relative_tolerance = request.relative_tolerance
-    nominals = np.ones(n + 1)
-    if n:
-        instance.getNominalsOfContinuousStates(
-            nominals.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), n
-        )
+    nominals = np.append(nominals_of(instance, n), 1.0)
     if request.closer:
         nominals[:n] *= request.closer.shares
     return nominals

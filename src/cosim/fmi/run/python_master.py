@@ -27,7 +27,7 @@ from cosim.fmi.run.instance import (
     initialize,
     update_discrete_states,
 )
-from cosim.fmi.run.request import FmuRequest, MasterRun
+from cosim.fmi.run.request import FmuRequest, MasterRun, nominals_of
 from cosim.host.progress import doing
 from cosim.model.growth import Growth
 from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
@@ -182,11 +182,12 @@ def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequ
     description, start = request.description, request.start
     relative, closer = request.relative_tolerance, request.closer
 
-    def sizes(values: Any, count: int) -> None:
+    def nominals(values: Any, count: int) -> None:
         """Fill in the nominal values so that CVODE takes the absolute tolerance."""
-        instance.getNominalsOfContinuousStates(values, count)
+        sizes = np.ctypeslib.as_array(values, (count,))
+        sizes[:] = nominals_of(instance, count)
         if closer and clock.time < closer.until:
-            np.ctypeslib.as_array(values, (count,))[:] *= closer.shares
+            sizes *= closer.shares
 
     return Cvode(
         interrupts,
@@ -196,7 +197,7 @@ def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequ
         set_x=instance.setContinuousStates,
         get_dx=instance.getContinuousStateDerivatives,
         get_z=instance.getEventIndicators,
-        get_nominals=sizes,
+        get_nominals=nominals,
         set_time=clock.set,
         input=clock,
         startTime=start,

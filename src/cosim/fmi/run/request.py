@@ -1,6 +1,7 @@
 """`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from ctypes import POINTER, c_double
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -377,6 +378,14 @@ def _states(description: Any) -> frozenset[str]:
     """Return the names of the states that the equations of an FMU have."""
     rates = (variable.derivative for variable in description.modelVariables)
     return frozenset(state.name for state in rates if state is not None)
+
+
+def nominals_of(instance: Any, count: int) -> Vector:
+    """Return the nominal values of states, (count,): 1 where an FMU gives no positive number."""
+    found = np.ones(count)
+    if count:
+        instance.getNominalsOfContinuousStates(found.ctypes.data_as(POINTER(c_double)), count)
+    return np.where(np.isfinite(found) & (found > 0), found, 1.0)
 
 
 def lost_state(instance: Any, description: Any) -> str:
