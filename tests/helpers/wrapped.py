@@ -19,6 +19,7 @@ SIGNATURES = {
     "const fmi2Real value[]",
     "fmi2DoStep": "fmi2Component c, fmi2Real point, fmi2Real size, fmi2Boolean keep",
     "fmi2SetFMUstate": "fmi2Component c, fmi2FMUstate state",
+    "fmi2GetFMUstate": "fmi2Component c, fmi2FMUstate *state",
     "fmi2SetupExperiment": "fmi2Component c, fmi2Boolean hasTol, fmi2Real tolerance, "
     "fmi2Real start, fmi2Boolean hasStop, fmi2Real end",
     "fmi2EnterInitializationMode": "fmi2Component c",
@@ -48,6 +49,9 @@ SIGNATURES = {
     "fmi2GetVersion": "void",
     "fmi2GetTypesPlatform": "void",
     "fmi2SetDebugLogging": "fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]",
+    "fmi3DoStep": "fmi3Instance c, fmi3Float64 point, fmi3Float64 size, fmi3Boolean keep, "
+    "fmi3Boolean *event, fmi3Boolean *ends, fmi3Boolean *early, fmi3Float64 *last",
+    "fmi3GetNumberOfEventIndicators": "fmi3Instance c, size_t *n",
     "fmi3GetAdjointDerivative": "fmi3Instance c, const fmi3ValueReference unknowns[], size_t m, "
     "const fmi3ValueReference knowns[], size_t n, const fmi3Float64 seed[], size_t o, "
     "fmi3Float64 value[], size_t p",

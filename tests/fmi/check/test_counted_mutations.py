@@ -1,4 +1,4 @@
-"""Forty-three faults, each in a sound file of its own: all are found."""
+"""Fifty-two faults, each in a sound file of its own: all are found."""
 
 import pytest
 from helpers.fmu_files import set_attributes, with_description
@@ -13,6 +13,10 @@ from cosim.fmi.check.libraries import sources
 pytestmark = pytest.mark.slow
 QUICK = tuple(trial for trial in TRIALS if trial is not sources)
 ALL = "for (size_t i = 0; i < n; i++)"
+KEPT = (
+    "fmi2ValueReference r = REF(force); double v; fmi2GetReal(c, &r, 1, &v); "
+    "fmi2Status s = CALL; fmi2SetReal(c, &r, 1, &v); return s;"
+)
 IN_C = {  # the wrapped function, and its body
     "derivatives that are those of the call before": (
         "fmi2GetDerivatives",
@@ -135,7 +139,35 @@ IN_C = {  # the wrapped function, and its body
     ),
     "a memory that every call takes": (
         "fmi2GetReal",
-        "limit += *(char *)memset(malloc(99), 0, 99); return CALL;",
+        "limit += *(char *)memset(malloc(999), 0, 999); return CALL;",
+    ),
+    "derivatives with another sign later": (
+        "fmi2GetDerivatives",
+        "double own[1]; fmi2GetContinuousStates(c, own, 1); fmi2Status s = CALL; "
+        f"if (own[0] < 0.75) {ALL} x[i] = -x[i]; return s;",
+    ),
+    "a directional derivative that is wrong later": (
+        "fmi2GetDirectionalDerivative",
+        "double own[1]; fmi2GetContinuousStates(c, own, 1); fmi2Status s = CALL; "
+        "if (own[0] < 0.75) for (size_t i = 0; i < m; i++) value[i] *= 1.05; return s;",
+    ),
+    "a parameter that keeps below a bound of its own": (
+        "fmi2SetReal",
+        f"{ALL} if (vr[i] == REF(rate) && value[i] > 0.6) return fmi2OK; return CALL;",
+    ),
+    "inputs that a stored state lacks": ("fmi2SetFMUstate", KEPT),
+    "inputs that a reset leaves": ("fmi2Reset", KEPT),
+    "a memory that every stored state takes": (
+        "fmi2GetFMUstate",
+        "limit += *(char *)memset(malloc(999), 0, 999); return CALL;",
+    ),
+    "a memory that every input takes": (
+        "fmi2SetReal",
+        "limit += *(char *)memset(malloc(999), 0, 999); return CALL;",
+    ),
+    "a count of steps that all instances share": (
+        "fmi2DoStep",
+        "static int k; return ++k > 500 ? fmi2Error : CALL;",
     ),
     "a value that may not be set": (
         "fmi2SetReal",
@@ -157,6 +189,9 @@ IN_XML = {
     "bounds that exclude the start": set_attributes(VARIABLE.format("rate") + "/Real", min="1"),
     "a derivative order too high": set_attributes("CoSimulation", maxOutputDerivativeOrder="9"),
     "a library of another name": set_attributes("CoSimulation", modelIdentifier="other"),
+    "a continuous output that is declared discrete": set_attributes(
+        VARIABLE.format("y"), variability="discrete"
+    ),
     "an output that is listed as local": set_attributes(VARIABLE.format("y"), causality="local"),
 }
 

@@ -26,7 +26,7 @@ MUTATIONS = {  # wrapped functions, what is found
     ),
     "a step that ends early": (
         {"fmi2DoStep": "return inner_fmi2DoStep(c, 0.999 * point, 0.999 * size, keep);"},
-        {(WRONG, "motion"), (WRONG, "time")},
+        {(WRONG, "motion"), (WRONG, "switching"), (WRONG, "time")},
     ),
     "an input without effect": (
         {"fmi2SetReal": IGNORED.format("REF(force)"), **KIND, **HELD},
@@ -85,6 +85,31 @@ def test_adjoint_derivative_that_is_wrong_is_found(tmp_path):
     wrong = "fmi3Status s = CALL; value[n - 1] *= 2; (void)p; return s;"
     path = wrapped(tmp_path, options, fmi3GetAdjointDerivative=wrong)
     assert found(path) == {(WRONG, "derivatives")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("function", "change", "rule"),
+    [
+        ("fmi3DoStep", "*last = point", "calls"),
+        ("fmi3DoStep", "*early = fmi3True", "calls"),
+        ("fmi3GetNumberOfEventIndicators", "++*n", "exchange"),
+    ],
+)
+def test_answer_of_fmi_3_that_is_wrong_is_found(function, change, rule, tmp_path):
+    path = wrapped(tmp_path, {"fmi": 3}, **{function: f"fmi3Status s = CALL; {change}; return s;"})
+    assert (WRONG, rule) in found(path)
+
+
+@pytest.mark.slow
+def test_output_that_depends_on_the_times_before_is_found(tmp_path):
+    model = Model("clock", description="clock", source="a test", stop_time=1.0)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -x)
+    model.output("y", "1", x + model.t, "sum")
+    ignored = "static double t; if (time > t && time < t + 0.005) return fmi2OK; t = time; "
+    path = wrapped(tmp_path, {}, model.freeze(), fmi2SetTime=f"{ignored}return CALL;")
+    assert (WRONG, "exchange") in found(path)
 
 
 @pytest.mark.slow

@@ -4,11 +4,12 @@ import ctypes
 import mmap
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,19 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import Described, Description, parse
-from cosim.fmi.run.instance import enter_continuous_time, instantiated, read_description
+from cosim.fmi.run.instance import (
+    Interface,
+    by_name,
+    enter_continuous_time,
+    instantiated,
+    read_description,
+)
+from cosim.fmi.run.python_master import run_in_python
+from cosim.fmi.run.request import FmuRequest
 
 MOST_NAMES = 5  # in one finding
 MEMORY_GROWTH = 2**19  # bytes; what is less does not count
+_VISITS, _FOR_VISITS = 3, 1 / 24  # states within a run; share of all time
 _MEMORY = Path("/proc/self/statm")
 
 
@@ -47,6 +57,12 @@ def altered(variable: Described, value: float, share: float) -> float:
 
 class Skipped(Exception):
     """A trial that this FMU does not allow or need; the message says why."""
+
+
+def reject_lateness(end: float) -> None:
+    """Skip a trial whose time is up; `end` is by `monotonic`, s."""
+    if monotonic() > end:
+        raise Skipped("it takes more time than there is; --timeout gives more")
 
 
 @dataclass(frozen=True)
@@ -143,6 +159,73 @@ class Bench:
         with instantiated(self.folder, self.fmpy, kind, self.name) as (instance, _):
             yield Session(self, kind, instance)
 
+    def run(
+        self,
+        kind: Interface,
+        recorded: Sequence[Described],
+        tolerance: float,
+        size: float,
+        end: float,
+        watch: Callable[[Any], None] | None = None,
+    ) -> tuple[Vector, Vector]:
+        """Run the default experiment, in model exchange under CVODE.
+
+        Args:
+            kind: Interface.
+            recorded: What to return.
+            tolerance: Relative one.
+            size: Distance of the output times, s.
+            end: When to give up, by `monotonic`, s.
+            watch: Gets the instance before.
+
+        Returns:
+            Times, s, (n,), and values, (n, recorded).
+
+        Raises:
+            Skipped: The time is up.
+        """
+        known = by_name(self.fmpy)
+        variables = tuple(known[variable.name] for variable in recorded)
+        stop = self.start + size * int(self.span / size * (1 + 1e-9))
+        times = (self.start, stop, size)
+        request = FmuRequest(self.fmpy, kind, {}, *times, variables, tolerance=tolerance)
+
+        def limited(call: Callable[..., Any]) -> Callable[..., Any]:
+            def until_end(*arguments: Any) -> Any:
+                reject_lateness(end)
+                return call(*arguments)
+
+            return until_end
+
+        with instantiated(self.folder, self.fmpy, kind, self.name) as (instance, _):
+            name = "doStep" if kind is Interface.CO_SIMULATION else "getContinuousStateDerivatives"
+            setattr(instance, name, limited(getattr(instance, name)))
+            if watch:
+                watch(instance)
+            found = run_in_python(instance, request)
+        return found.times, found.rows
+
+    @property
+    def start(self) -> float:
+        """Begin of the default experiment, s."""
+        return self.experiment("startTime") or 0.0
+
+    @property
+    def span(self) -> float:
+        """Length of the default experiment, s."""
+        return (self.experiment("stopTime") or self.start + 1.0) - self.start
+
+    @cached_property
+    def visited(self) -> list[tuple[float, Vector]]:
+        """Times, s, and states, (n,), within its default experiment; empty if it cannot run."""
+        with suppress(Exception):
+            states = [state for state, _ in self.states()]
+            end = monotonic() + _FOR_VISITS * self.timeout
+            size = self.span / (_VISITS + 1)
+            times, rows = self.run(Interface.MODEL_EXCHANGE, states, self.tolerance, size, end)
+            return list(zip(times[1 : _VISITS + 1].tolist(), rows[1 : _VISITS + 1], strict=True))
+        return []
+
     @cached_property
     def has_events(self) -> bool:
         """Whether it may have events: what co-simulation alone never denies."""
@@ -150,7 +233,7 @@ class Bench:
             return True
         with self.session("ModelExchange") as session:
             session.start()
-            return session.next_event < (self.experiment("stopTime") or session.start_time + 1.0)
+            return session.next_event < self.start + self.span
 
 
 @dataclass
@@ -174,7 +257,7 @@ class Session:
     @property
     def start_time(self) -> float:
         """Where it begins, s."""
-        return self.bench.experiment("startTime") or 0.0
+        return self.bench.start
 
     def enter(self, stop_time: float | None = None, start_time: float | None = None) -> None:
         """Enter initialization mode; `start_time`, s, is that of the experiment if None."""

@@ -161,12 +161,14 @@ def _matrices(
             with suppress(Exception):
                 session.put(parameter, altered(parameter, value, 0.02 * (1 + rng.random())))
         session.start()
-        span = (bench.experiment("stopTime") or session.start_time + 1.0) - session.start_time
         start = session.values([known.variable for known in knowns])
-        for i in range(1, _POINTS):
-            size = 0.1 * np.maximum(np.abs(start), scale)
-            at = start + size * rng.standard_normal(len(start))
-            session.instance.setTime(session.start_time + 0.01 * i * span)
+        size = 0.1 * np.maximum(np.abs(start), scale)
+        points = [
+            (bench.start + 0.01 * i * bench.span, start + size * rng.standard_normal(len(start)))
+            for i in range(1, _POINTS)
+        ]
+        for time, at in [*points, *_visited(bench, start)]:
+            session.instance.setTime(time)
             slopes = _matrix(session, unknowns, knowns, at, directional=directional)
             yield slopes * scale / own[:, None]
 
@@ -213,12 +215,20 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
         findings = list(_compared(session, unknowns, knowns, start))
         rng = np.random.default_rng(0)
         scale = np.maximum(np.abs(start), [known.variable.nominal for known in knowns])
+        near = (start + 0.1 * scale * rng.standard_normal(len(start)) for _ in range(_MORE_POINTS))
+        points = [*((bench.start, at) for at in near), *_visited(bench, start)]
         with suppress(Exception):  # the FMU may reject a point
-            for _ in range(_MORE_POINTS if not findings else 0):
-                at = start + 0.1 * scale * rng.standard_normal(len(start))
+            for time, at in points if not findings else ():
+                session.instance.setTime(time)
                 _go_to(session, knowns, at)
                 findings = findings or list(_compared(session, unknowns, knowns, at))
         yield from findings
+
+
+def _visited(bench: Bench, start: Vector) -> Iterator[tuple[float, Vector]]:
+    """Yield times, s, and values of knowns, states first, within the default experiment."""
+    for time, states in bench.visited:
+        yield time, np.concatenate([states, start[len(states) :]])
 
 
 def _go_to(session: Session, knowns: Sequence[Known], at: Vector) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding, Rule
-from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped
+from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
 from cosim.text import shortened
 
 _NOISE = 1e-9  # of an output in nominal values
@@ -152,6 +152,7 @@ def reset(bench: Bench, kind: str) -> Iterator[Finding]:
     """After a reset it gives the very same numbers."""
     with bench.session(kind) as session:
         first = few_numbers(session)
+        _disturb(session)
         session.instance.reset()
         again = few_numbers(session)
     yield from _same(TRIAL_RULES["reset"], session, first, again, "a run after reset differs")
@@ -182,6 +183,7 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
         first = few_numbers(session, started=True)
 
         def from_state(stored: Any) -> Vector:
+            _disturb(session)
             instance.setFMUState(stored)
             session.time = time
             return few_numbers(session, started=True)
@@ -197,6 +199,14 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
             yield from _same(TRIAL_RULES["rollback"], session, first, from_state(copy), found)
             instance.freeFMUState(copy)
         instance.freeFMUState(state)
+
+
+def _disturb(session: Session) -> None:
+    """Change the inputs of an instance that goes back to another state."""
+    inputs = session.bench.reals("input", "continuous")
+    with suppress(Exception):  # it may reject values
+        for variable, value in zip(inputs, session.values(inputs), strict=True):
+            session.put(variable, altered(variable, value, 0.1))
 
 
 def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:

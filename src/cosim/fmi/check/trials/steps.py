@@ -4,7 +4,7 @@ import ctypes
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, suppress
 from itertools import islice
 from pathlib import Path
@@ -12,17 +12,20 @@ from time import monotonic
 
 import numpy as np
 
+from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
+from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import (
     MEMORY_GROWTH,
     MOST_NAMES,
     Bench,
     Note,
+    Session,
     Skipped,
     altered,
     memory_in_use,
 )
-from cosim.fmi.check.trials.derivatives import need_model_exchange
+from cosim.fmi.check.trials.derivatives import need_model_exchange, offers_directional
 from cosim.fmi.check.trials.start import few_numbers, moved
 from cosim.host.temporary import temporary_folder
 
@@ -31,7 +34,10 @@ SIZE = 1 / 60  # s
 _FOR_STEPS, _FOR_INSTANCES = 1 / 12, 1 / 24  # share of all time
 _FEW_STEPS = 10
 _MOST_INSTANCES = 10_000
+_MOST_LOOKS, _AT_ONCE = 400, 100  # at the memory; calls between two of them
 _NOISE = 1e-12  # of numbers that two functions give
+_FAR, _NEAR = 0.5, 0.02  # changes of settings, of their size
+_REMEMBERED = 1e-6  # of a value: what iterations inside may leave of earlier calls
 
 
 def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
@@ -56,6 +62,10 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
                 own = fatal or _own_steps_fail(bench, kind, session.time + SIZE)
                 found = f"a step of 1/60 s fails at {session.time:.6g} s: {error}"
                 yield (TRIAL_RULES["failing"] if own else TRIAL_RULES["sums"]).at(kind, found)
+                return
+            if "(fatal)" not in str(error) and _own_steps_fail(bench, kind, stop - SIZE):
+                found = f"after {made} steps ({error}), a new instance does not reach {stop:g} s"
+                yield TRIAL_RULES["failing"].at(kind, found)
                 return
             yield Note(f"{made} steps of 1/60 s, beyond its stop time; then: {error}")
             return
@@ -144,7 +154,7 @@ def quiet(bench: Bench, kind: str) -> Iterator[Finding]:
 
 
 def memory(bench: Bench, kind: str) -> Iterator[Finding | Note]:
-    """Memory does not grow with instances; `steps` looks whether it does with steps."""
+    """Memory does not grow with instances and calls; `steps` looks whether it does with steps."""
     if bench.offers(kind, "canBeInstantiatedOnlyOncePerProcess"):
         raise Skipped("it can be instantiated once per process only")
     end, used = monotonic() + _FOR_INSTANCES * bench.timeout, [memory_in_use()]
@@ -159,7 +169,45 @@ def memory(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     if (growth := used[-1] - used[len(used) // 2]) > MEMORY_GROWTH:
         found = f"{growth / 1e6:.1f} MB are lost in {len(used) // 2} instances"
         yield TRIAL_RULES["memory"].at(kind, found)
+    yield from _leaking_calls(bench, kind, _FOR_INSTANCES * bench.timeout)
     yield Note(f"{len(used) - 1} instances")
+
+
+def _leaking_calls(bench: Bench, kind: str, seconds: float) -> Iterator[Finding]:
+    """Repeat each call that importers make often on one instance, for some time in all."""
+    inputs, states = bench.reals("input", "continuous"), bench.outputs()
+    with suppress(Skipped):
+        states = [state for state, _ in bench.states()]
+    with bench.session(kind) as session:
+        session.start()
+        instance, values = session.instance, session.values(inputs)
+
+        def store() -> None:
+            state = instance.getFMUState()
+            instance.setFMUState(state)
+            instance.freeFMUState(state)
+
+        stores = bench.offers(kind, "canGetAndSetFMUstate", "canGetAndSetFMUState")
+        differentiates = offers_directional(bench, kind) and inputs and states
+        calls: dict[str, Callable[[], object]] = {
+            "getting values": lambda: session.values(states),
+            "setting inputs": lambda: session.put_all(inputs, values),
+        }
+        if stores:
+            calls["storing and restoring its state"] = store
+        if differentiates:
+            calls["directional derivatives"] = lambda: session.slopes(states, inputs[0])
+        for name, call in calls.items():
+            end, used = monotonic() + seconds / len(calls), list[int]()
+            with suppress(Exception):  # what fails is for other trials
+                while len(used) <= _MOST_LOOKS and monotonic() < end:
+                    for _ in range(_AT_ONCE):
+                        call()
+                    used.append(memory_in_use())
+            half = len(used) // 2
+            if half and (growth := used[-1] - used[half]) > MEMORY_GROWTH:
+                found = f"{growth / 1e6:.1f} MB are lost in {_AT_ONCE * half} calls: {name}"
+                yield TRIAL_RULES["memory"].at(kind, found)
 
 
 def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -174,12 +222,28 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
         nominals = session.all_of("getNominalsOfContinuousStates", len(states))
         if not (np.isfinite(nominals) & (nominals > 0)).all():
             yield rule.at(kind, f"a state has the nominal value {nominals.min():g}")
-        session.all_of("getEventIndicators", bench.fmpy.numberOfEventIndicators or 0)
+        indicators = bench.fmpy.numberOfEventIndicators or 0
+        session.all_of("getEventIndicators", indicators)
+        if not bench.second:
+            counts = ("ContinuousStates", len(states)), ("EventIndicators", indicators)
+            for name, count in counts:
+                number = ctypes.c_size_t()
+                getattr(session.instance, f"fmi3GetNumberOf{name}")(
+                    session.instance.component, ctypes.byref(number)
+                )
+                if number.value != count:
+                    fault = f"fmi3GetNumberOf{name} gives {number.value}, its file lists {count}"
+                    yield rule.at(kind, fault)
+        yield from _remembered(session, [*rates, *bench.reals("output", "continuous")])
+        discrete = [*bench.reals("output", "discrete"), *bench.reals("local", "discrete")]
+        before = session.values(discrete)
         _, ends = session.instance.completedIntegratorStep()
         if ends:
             yield rule.at(kind, "it ends the run after a step of length 0")
         given = moved(session.values(states))
         session.put_states(given)
+        for i in np.flatnonzero(session.values(discrete) != before)[:MOST_NAMES]:
+            yield rule.at(discrete[i].name, "it is discrete, and changes with a state at no event")
         session.instance.completedIntegratorStep()
         slopes = "getDerivatives" if bench.second else "getContinuousStateDerivatives"
         for function, variables in ("getContinuousStates", states), (slopes, rates):
@@ -193,17 +257,46 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
                 yield rule.at(variables[i].name, fault)
 
 
+def _remembered(session: Session, variables: Sequence[Described]) -> Iterator[Finding]:
+    """Reach one time from a near and from a far time: variables do not remember the way."""
+    size = 0.1 * session.bench.step_size(session.kind)
+    start, found = session.start_time, list[Vector]()
+    if session.next_event <= start + 50 * size:
+        return
+    for before in (start, start + 50 * size):
+        session.instance.setTime(before)
+        session.values(variables)
+        session.instance.setTime(start + size)
+        found.append(session.values(variables))
+    session.instance.setTime(start)
+    allowed = _REMEMBERED * np.maximum(np.abs(found[1]), [v.nominal for v in variables])
+    for i in np.flatnonzero(np.abs(found[0] - found[1]) > allowed)[:MOST_NAMES]:
+        text = f"it is {found[0][i]:.10g} and {found[1][i]:.10g} at one time, after other times"
+        yield TRIAL_RULES["exchange"].at(variables[i].name, text)
+
+
 def settings(bench: Bench, kind: str) -> Iterator[Finding]:
     """Parameters and inputs keep the values that they are given before the start."""
     every = bench.reals("parameter") + bench.reals("input", "continuous")
     known = [v for v in every if "start" in v.texts]
+    try:
+        findings = list(_settings(bench, kind, known, _FAR))
+    except Skipped:
+        findings = list(_settings(bench, kind, known, _NEAR))
+    yield from findings
+
+
+def _settings(
+    bench: Bench, kind: str, known: Sequence[Described], share: float
+) -> Iterator[Finding]:
+    """Set variables before the start to values that differ by a share of their size."""
     given = dict[str, float]()
     with bench.session(kind) as session:
         for variable in known:
             start = float(variable.texts["start"])
             session.put(variable, start)  # which none may reject
             with suppress(Exception):
-                session.put(variable, value := altered(variable, start, 0.02))
+                session.put(variable, value := altered(variable, start, share))
                 given[variable.name] = value
         try:
             session.start()
@@ -230,7 +323,20 @@ def calls(bench: Bench, kind: str) -> Iterator[Finding]:
                 yield TRIAL_RULES["calls"].at(name, f"it is '{said}', not '{expected}'")
         session.start()
         instance.setDebugLogging(False, [])
+        if kind == "CoSimulation" and not bench.second:
+            yield from _answers_of_a_step(session)
         last = session.values(outputs)
         instance.terminate()
         if session.values(outputs).tobytes() != last.tobytes():
             yield TRIAL_RULES["calls"].at(kind, "its outputs change at the end")
+
+
+def _answers_of_a_step(session: Session) -> Iterator[Finding]:
+    """Make a step of FMI 3.0 and check what it returns; its solver may be behind the step's end."""
+    begin, size = session.time, session.bench.step_size(session.kind)
+    _, ends, early, last = session.instance.doStep(begin, size)
+    if early and not ends:
+        yield TRIAL_RULES["calls"].at("fmi3DoStep", "it returns early, which was not allowed")
+    if not begin < last <= (begin + size) * (1 + 1e-9) and not ends:
+        found = f"lastSuccessfulTime is {last:.9g} s after the step from {begin:g} to "
+        yield TRIAL_RULES["calls"].at("fmi3DoStep", f"{found}{begin + size:.9g} s")
