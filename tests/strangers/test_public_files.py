@@ -1,4 +1,4 @@
-"""FMUs that others publish: each gives its reference values, or is rejected in one sentence."""
+"""Public FMUs and SSP files: each gives its reference values, or is rejected in one sentence."""
 
 import os
 import tomllib
@@ -10,13 +10,14 @@ import cosim
 
 HERE = Path(__file__).parent
 FOLDER = Path(os.environ.get("COSIM_STRANGERS", HERE / "files"))
-LISTED = tomllib.loads((HERE / "files.toml").read_text())["file"]
+TABLES = tomllib.loads((HERE / "files.toml").read_text())
+LISTED = TABLES["file"]
 READABLE = {path for row in LISTED for path in row["files"] if row.get("opens", True)}
 METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
 
 
-def rows(key):
-    found = [(path, row) for row in LISTED if key in row for path in row["files"]]
+def rows(key, listed=LISTED):
+    found = [(path, row) for row in listed if key in row for path in row["files"]]
     return pytest.mark.parametrize(
         ("path", "row"), found, ids=[f"{path}-{i}" for i, (path, _) in enumerate(found)]
     )
@@ -84,3 +85,20 @@ def test_public_file_with_fixed_steps_keeps_an_accuracy(path, row, present):
 def test_public_file_is_described(path, present):
     text = str(cosim.info(present(path)))
     assert f"fmi          {Path(path).parent.name}" in text
+
+
+@rows("parts", TABLES["system"])
+def test_public_system_is_read_and_gives_its_reference_values(path, row, present):
+    system = cosim.read_ssp(present(path))
+    assert len(system.parts) == row["parts"]
+    if "expected" in row:
+        final = system.simulate(macro_step=0.5, output_interval=0.5).final
+        assert {name: final[name] for name in row["expected"]} == row["expected"]
+
+
+@rows("refused", TABLES["system"])
+def test_public_system_is_rejected_in_one_sentence_that_names_it(path, row, present):
+    with pytest.raises(cosim.CosimError, match=row["refused"]) as caught:
+        cosim.read_ssp(present(path))
+    assert str(caught.value).startswith(str(present(path)))
+    assert "\n" not in str(caught.value)
