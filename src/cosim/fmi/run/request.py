@@ -389,7 +389,7 @@ def nominals_of(instance: Any, count: int) -> Vector:
 
 
 def lost_state(instance: Any, description: Any) -> str:
-    """Return the name of a state that is not finite; the empty text if none is, or none is told."""
+    """Return the name of a state that is not finite; or "" if none is or can be read."""
     from fmpy.fmi1 import FMICallException
 
     states = [by_name(description)[name] for name in sorted(_states(description))]
