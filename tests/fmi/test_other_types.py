@@ -20,6 +20,7 @@ DESCRIPTION = """<fmiModelDescription fmiVersion="3.0" modelName="part" instanti
     <String name="label" valueReference="5" causality="input"><Start value="a"/></String>
     <Float64 name="y" valueReference="6" causality="output"><Dimension start="3"/></Float64>
     <Int32 name="n" valueReference="7" causality="output"/>
+    <Binary name="blob" valueReference="8" causality="input"/>
   </ModelVariables>
   <ModelStructure>
     <Output valueReference="1"/><Output valueReference="6"/><Output valueReference="7"/>
@@ -85,7 +86,8 @@ def test_unit_on_the_command_line_is_rejected_for_files(text):
     [
         ({"b.count": "a.x"}, r"a.x \(Float64\) cannot drive b.count \(Int32\)"),
         ({"b.on": "a.x"}, r"cannot drive b.on \(Boolean\)"),
-        ({"b.label": "a.x"}, "b.label is of type String, which connections do not carry"),
+        ({"b.label": "a.x"}, r"a.x \(Float64\) cannot drive b.label \(String\)"),
+        ({"b.blob": "a.x"}, "b.blob is of type Binary, which connections do not carry"),
         ({"b.tiny": "a.y"}, r"a.y is an array; connect its elements, such as a.y\[1\]"),
         ({"b.x": "a.x"}, "b.x is no input; connect an input: tiny, count, on"),
     ],

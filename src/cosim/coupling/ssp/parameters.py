@@ -57,8 +57,8 @@ class Value:
             try:
                 scale, shift = conversion(self.unit.definition, unit.definition)
             except ValueError as error:
-                reason = f"the value's '{self.unit.name}' and the variable's '{unit.name}'"
-                reason += ", as the file and the FMU define them, have different dimensions"
+                reason = f"'{self.unit.name}' of the file cannot be converted to '{unit.name}' of"
+                reason += " the FMU, by their definitions"
                 raise ParameterError(f"{name} = {number!r}: {reason}") from error
             number = scale * number + shift
         return self.factor * number + self.offset
