@@ -120,6 +120,31 @@ class _Switching:
         instance.updateDiscreteStates = watched
 
 
+def _both(runs: _Switching, size: float) -> tuple[Vector, Vector, Vector]:
+    """Return times, s, and outputs in model exchange and in co-simulation, a size apart.
+
+    Raises:
+        FmuError: Only model exchange fails.
+        Skipped: Co-simulation fails without events, which `steps` reports.
+    """
+    failure: Exception | None = None
+    try:
+        times, exact = runs.run(Interface.MODEL_EXCHANGE, _TIGHT, size)
+    except Exception as error:
+        if runs.bench.has_events or isinstance(error, Skipped):
+            raise
+        failure = error
+    try:
+        found = runs.run(Interface.CO_SIMULATION, runs.bench.tolerance, size)[1]
+    except Exception as error:
+        if runs.bench.has_events:
+            raise
+        raise Skipped(f"it fails in co-simulation: {error}") from error
+    if failure:
+        raise FmuError(f"in model exchange, not in co-simulation: {failure}") from failure
+    return times, exact, found
+
+
 def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """Co-simulation and model exchange agree over the default experiment, events included."""
     if kind != "CoSimulation" or "ModelExchange" not in bench.described.interfaces:
@@ -131,21 +156,11 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     size = bench.span / _POINTS
     if not bench.offers("CoSimulation", "canHandleVariableCommunicationStepSize"):
         size = bench.step_size("CoSimulation")
-    try:
-        times, exact = runs.run(Interface.MODEL_EXCHANGE, _TIGHT, size)
-    except Exception as error:
-        if bench.has_events or isinstance(error, Skipped):
-            raise
-        try:
-            runs.run(Interface.CO_SIMULATION, bench.tolerance, size)
-        except Exception as other:
-            raise Skipped(f"its default experiment fails in both interfaces: {other}") from error
-        raise FmuError(f"in model exchange, not in co-simulation: {error}") from error
+    times, exact, found = _both(runs, size)
     for name, jump in runs.silent_jumps.items():
         text = f"it jumps by {jump:.3g} at an event that does not report changed states"
         yield TRIAL_RULES["silent-jump"].at(name, text)
     coarse = runs.run(Interface.MODEL_EXCHANGE, bench.tolerance, size)[1]
-    found = runs.run(Interface.CO_SIMULATION, bench.tolerance, size)[1]
     rows = min(len(exact), len(coarse), len(found))
     if rows < len(exact):
         raise Skipped("it ends by itself before")
