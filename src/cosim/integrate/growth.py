@@ -52,6 +52,8 @@ def followed_growth(
         return motion
     sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
     closer = growth.closer(relative, absolute)
+    if growth.rounding:
+        return _noted(motion, growth.note(closer, absolute, False))
     followed = run(closer)
     if followed.reason == INTERRUPTED:
         return followed
@@ -210,5 +212,6 @@ def growing_starts(
         line = x[:, [i]] + rate[:, [i]] * (at - begin)
         motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], Counts())
         path = _path(motion, sizes[:, i], p[:, i])
-        found[i] = growth_along(path, 0, 1, absolute) is not None
+        every = np.ones(len(x), dtype=bool)
+        found[i] = growth_along(path, 0, 1, every, absolute) is not None
     return found
