@@ -87,7 +87,7 @@ static inline bool is_passing(const Switching *s, double t, int i, double inside
     const double way = -rate * time_scale(s, t), slack = s->slack[i];
     const bool slow = !(slack <= SAME_TIME * way), moves = !slow || -rate > s->faint[i];
     const double noise = slow ? s->least[i] : slack;
-    return s->state[i] != SLIDES && moves && inside <= slack + noise + LOCATED * way &&
+    return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s) * way &&
            noise <= SAME_TIME * way;
 }
 
@@ -282,8 +282,10 @@ static inline void note_jumps(Switching *s, const Seen *before, const Seen *now,
     for (int i = 0; i < MODES; i++) {
         const double size = fabs(before->arguments[i]) + fabs(now->arguments[i]);
         const double way = fabs(now->arguments[i] - before->arguments[i]);
+        const double tiny = 4 * s->slack[i] + ROUNDING * size;
         /* what is 0 but for rounding may change its side, as |x| does with the sign of x */
-        if (s->state[i] == SLIDES || !(way > 4 * s->slack[i] + ROUNDING * size)) continue;
+        const bool turned = zero[i] && fabs(now->arguments[i] + before->arguments[i]) <= tiny;
+        if (s->state[i] == SLIDES || turned || !(way > tiny)) continue;
         zero[i] = false;
         s->state[i] = FREE;
         s->beyond[i] = 0;
