@@ -124,10 +124,18 @@ def suppressed_growth(
         return None
     rows = _rows_per_step(path.time, steps)
     spans = _straight(path, rows, relative, absolute * path.sizes)
-    found = [growth_along(path, *span, absolute) for span in spans]
+    known = dict[float, Vector]()
+
+    def slopes(time: float, states: Vector) -> Vector:
+        if time not in known:  # several spans begin at one row
+            known[time] = path.slopes(time, states)
+        return known[time]
+
+    remembering = replace(path, slopes=slopes)
+    found = [growth_along(remembering, *span, absolute) for span in spans]
     found += [
         growth_along(line, 0, 1, calm, absolute)
-        for line, calm in _first_lines(path, relative, absolute)
+        for line, calm in _first_lines(remembering, relative, absolute)
     ]
     return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
 
@@ -159,6 +167,9 @@ def _first_lines(
 ) -> Iterator[tuple[StatePath, Truths]]:
     """Return lines from the start that are ones to the tolerance, and in which states, (nx,)."""
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
+    slopes = path.slopes(begin, x[:, 0])
+    if not np.isfinite(slopes).all() or np.linalg.eigvals(slopes).real.max() * (stop - begin) <= 1:
+        return
     rate = path.rates(path.time[:1], x)
     length, before = stop - begin, np.zeros(len(x), dtype=bool)
     while length > _SHORTEST * (stop - begin) and not before.all():
