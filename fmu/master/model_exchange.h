@@ -83,7 +83,7 @@ static inline int crossed(const Exchange *self, const double *z) {
  * Returns 0 unless a call fails. */
 static inline int locate(Exchange *self, double *after, double *end) {
     double low = self->t, high = *after, z[NZ], x[NX];
-    const double width = 100 * DBL_EPSILON * (fabs(self->t) + fabs(self->piece.h));
+    const double width = 2 * DBL_EPSILON * fabs(high);
     while (high - low > width) {
         const double middle = low + (high - low) / 2;
         if (middle <= low || middle >= high) break;
@@ -134,10 +134,10 @@ static inline int advance(Exchange *self, double goal, int *rejected, bool *even
         return STEP_VANISHED;
     }
     const int final = self->t + 1.01 * self->h >= goal;
-    if (final) self->h = goal - self->t;
+    double after = final ? goal : self->t + self->h;
+    self->h = after - self->t; /* as time is rounded */
     const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
     const double error = lost ? NAN : error_of(&self->ode, self->h, self->x, end, self->k);
-    double after = final ? goal : self->t + self->h;
     if (is_final(self)) return CALL_FAILED;
     if (!(error <= 1) || slope(&self->ode, after, end, self->k[END]) || !is_finite(self->k[END])) {
         if (is_final(self)) return CALL_FAILED;

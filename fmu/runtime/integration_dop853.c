@@ -204,8 +204,8 @@ static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, doubl
         const double size = size_before(loss, memory->next);
         const double most = loss < size ? 1 / OF_TOLERANCE : 1; /* the requested tolerance itself */
         const bool final = t + 1.01 * size >= ahead;
-        const double h = final ? ahead - t : size;
-        double after = final ? ahead : t + h;
+        double after = final ? ahead : t + size;
+        const double h = after - t; /* as time is rounded, so that states do not run away from it */
         const int lost = stages(ode, t, h, memory->end, k, x);
         const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
         if (!(error <= most) || !keep_to_constraints(self, after, x) ||

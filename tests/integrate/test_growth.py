@@ -194,3 +194,24 @@ def test_where_nothing_grows_unseen_a_run_is_as_before(model, monkeypatch):
     assert run.stats["steps"] == before.stats["steps"]
     assert run.stats.get("note") == before.stats.get("note")
     np.testing.assert_array_equal(run["x"], before["x"])
+
+
+@pytest.mark.parametrize("push", [0.0, 1e-10])
+@pytest.mark.parametrize("solver", ["cvodes", "dop853", "idas"])
+def test_growth_is_seen_while_other_states_move(solver, push):
+    """The bar stands across a frame that turns ever faster; its angle grows by e in 0.16 s."""
+    values = {"theta": np.pi / 2, "theta_dot": 0.0, "b": 0.0, "T2": push}
+    run = cosim.simulate("bar_on_frame/reduced", solver=solver, start_values=values, stop_time=3.0)
+    if push:
+        assert run.final["theta"] == pytest.approx(2.1660655, abs=1e-4)  # before: pi / 2
+    note = "so that it is followed" if push else "at an unstable equilibrium but for rounding"
+    assert note in run.stats["note"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["idas", "rosenbrock"])
+def test_rounding_that_leaves_an_unstable_equilibrium_is_said(solver):
+    """With `rosenbrock`, the angle leaves it by 0.017; the exact one by 4e-7."""
+    values = {"theta": np.pi / 2, "theta_dot": 0.0, "b": 0.0}
+    run = cosim.simulate("bar_on_frame/two_body", solver=solver, start_values=values, stop_time=3)
+    assert "at an unstable equilibrium but for rounding" in run.stats["note"]

@@ -9,7 +9,8 @@
 #include "settle.h"
 
 static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period */
-static const double CLOSE = 1e-10;    /* relative distance of events of which ... */
+static const double CLOSE = 1e-10;    /* distance of events, relative to 1 s or the run, or ... */
+static const double FEW_ULPS = 4096;  /* ... roundings of the time, of which ... */
 enum { MOST_CLOSE = 10 };             /* ... so many in succession are no motion, as are ... */
 static const double NO_WAY = 100;     /* ... those between which arguments move so many roundings */
 static const double VIOLATION = 1e-6; /* of a constraint, that an assignment may leave ... */
@@ -277,7 +278,8 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
 
 /* Events that are ever closer in time are no motion that can be followed. */
 static inline Ending reject_zeno(Switching *s, double t, int rule, double way) {
-    const bool near = t - s->last < CLOSE * time_scale(s, t);
+    const double closest = fmax(CLOSE * time_scale(s, 0), FEW_ULPS * DBL_EPSILON * fabs(t));
+    const bool near = t - s->last < closest;
     s->close = near || (way > 0 && way < NO_WAY) ? s->close + 1 : 0;
     s->last = t;
     return s->close <= MOST_CLOSE ? GOING_ON : ending(TOO_CLOSE, rule);
@@ -320,6 +322,7 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
     const bool any = found->count > 0 || found->modes_changed;
     if (!any || timed || found->ending.reason == STOPPED) return;
     const int last = found->count ? found->happened[found->count - 1] : -1;
+    s->rounded += LOCATED / DBL_EPSILON;
     found->ending = reject_zeno(s, t, last, way);
 }
 

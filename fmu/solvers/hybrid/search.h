@@ -213,26 +213,29 @@ static inline int first_at(const Place *place, const double slack[], int found) 
 
 /* Moves a crossing to the time at which fresh steps cross; where rounding leaves a choice, to the
  * far side, so that what has become true there is true by value. */
-static inline Located locate(FreshStep *fresh, void *motion, const double slack[], double begin,
+static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
+    const double *slack = s->slack;
     Bounds bounds = {begin, end, 0};
-    double left = 0, most = 0; /* of the margin, and what rounding makes of it */
+    double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     int beyond = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
         const double t = crossing->time;
         Place place;
         if (!fresh(motion, t, &place)) return FAILS;
         const int i = crossing->relation = first_at(&place, slack, crossing->relation);
+        const double speed = fabs(place.rates[i]);
         left = place.inside[i] - slack[i];
-        most = slack[i] + rounding_of_time(&place, i);
+        const double most = slack[i] + rounding_of_time(&place, i);
+        ahead = fmax(most, slack[i] + located(s) * time_scale(s, t) * speed);
         const double longest = fmin(t - begin, SAME_TIME * fabs(t));
-        crossing->since = place.rates[i] < 0 ? t - fmin(most / -place.rates[i], longest) : t;
+        crossing->since = place.rates[i] < 0 ? t - fmin(ahead / speed, longest) : t;
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
         if (crossing->time != t) continue;
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }
-    return left <= most ? CROSSES : TOUCHES;
+    return left <= ahead ? CROSSES : TOUCHES;
 }
 
 /* A place after a touch at which every relation is within its mode again; false if none is. */
@@ -256,7 +259,7 @@ static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh
         if (relation < 0 && goes_on) relation = leaving_at(s, &place);
         if (relation < 0) break;
         *found = (Crossing){place.t, relation, place.t};
-        const Located how = locate(fresh, motion, s->slack, begin, end, found);
+        const Located how = locate(fresh, motion, s, begin, end, found);
         if (how != TOUCHES) return how;
         if (!inside_again(look, motion, place.t, end, &before)) break;
     }

@@ -20,11 +20,15 @@ typedef struct {
     double left[MODES + 1];   /* the boundary that is displaced by it: of a floor, a whole number */
     double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
     double slack[MODES + 1];  /* by which rounding moves an argument */
+    double least[MODES + 1];  /* the same where states are as small as they are */
+    double faint[MODES + 1];  /* rate up to which one is 0 but for rounding */
     double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
-    double close;                  /* events in succession that were close to each other */
+    double rounded; /* how often time was rounded: at events, and by importers in each step */
+    double looked;  /* time at which an importer has looked last */
+    double close;   /* events in succession that were close to each other */
     double span;    /* length of the run, or of the experiment where no end is known */
     double stopped; /* 1: an event has ended the run */
     double waits;   /* 1: a time event waits for the importer; 2 + i: a crossing of relation i */
@@ -40,11 +44,16 @@ _Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it 
 
 static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
 static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
-static const double LOCATED = 8 * DBL_EPSILON; /* the same of located events of states */
+static const double LOCATED = 8 * DBL_EPSILON; /* the same of a located event of states */
 
 /* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
 static inline double time_scale(const Switching *s, double t) {
     return fmax(s->span > 0 ? fmin(1, s->span) : 1, fabs(t));
+}
+
+/* Relative distance of times that may be one, as rounding of events adds up. */
+static inline double located(const Switching *s) {
+    return fmin(LOCATED + s->rounded * DBL_EPSILON, SAME_TIME);
 }
 
 static inline double ulp(double t) {

@@ -52,6 +52,8 @@ def followed_growth(
         return motion
     sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
     closer = growth.closer(relative, absolute)
+    if growth.rounding:
+        return _noted(motion, growth.note(closer, absolute, False))
     followed = run(closer)
     if followed.reason == INTERRUPTED:
         return followed
@@ -144,6 +146,8 @@ def _trough(
 
 def growth_in(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:
     """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
+    if not _feeds_back(motion.dae):
+        return None
     path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
     return suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
 
@@ -173,6 +177,19 @@ def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
     rows = motion.time.searchsorted(times, "right") - 1
     u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
     return motion.algebraics[:, rows], u[:, rows]
+
+
+@cached_per_thread(16)
+def _feeds_back(dae: Dae) -> bool:
+    """Return whether a state acts on its own rate, be it by others; otherwise nothing grows by e.
+
+    Algebraic unknowns are taken to do so.
+    """
+    acts = np.array(ca.DM(ca.jacobian_sparsity(dae.ode, dae.x), 1))
+    power = np.eye(len(acts))
+    for _ in acts:
+        power = np.minimum(power @ acts, 1)
+    return bool(dae.algebraics or power.any())
 
 
 @cached_per_thread(16)
@@ -210,5 +227,6 @@ def growing_starts(
         line = x[:, [i]] + rate[:, [i]] * (at - begin)
         motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], Counts())
         path = _path(motion, sizes[:, i], p[:, i])
-        found[i] = growth_along(path, 0, 1, absolute) is not None
+        every = np.ones(len(x), dtype=bool)
+        found[i] = growth_along(path, 0, 1, every, absolute) is not None
     return found

@@ -2,23 +2,26 @@
 
 Near an unstable equilibrium a deviation grows from far below the absolute tolerance. The error
 control does not see it there: steps become longer than the time of growth, and an implicit one
-suppresses it. Where the motion is a straight line to the tolerance, the eigenvalues tell how far
-the deviation would have grown; to be seen from the beginning, it needs a smaller tolerance.
+suppresses it. Where the states that grow together move along straight lines to the tolerance, the
+eigenvalues tell how far the deviation would have grown; to be seen from the beginning, it needs a
+smaller tolerance. Where rounding alone keeps a motion at an equilibrium, no tolerance helps.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
 _MOST_EXPONENT = 600.0
 _SHORTEST = 1e-3  # of a run: its first line
+_NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
+_COUPLED = 1e-6  # least share of a state in what grows
 
 
 class Growth(NamedTuple):
@@ -29,12 +32,14 @@ class Growth(NamedTuple):
         time: When it begins at the latest, s.
         growth_time: In which it grows by the factor e, s.
         size: Its size at the beginning, in nominal values.
+        rounding: Whether it is but rounding, which no tolerance makes smaller.
     """
 
     state: str
     time: float
     growth_time: float
     size: float
+    rounding: bool = False
 
     def closer(self, relative: float, absolute: float) -> "Closer":
         """Return the absolute tolerance that follows the deviation until it has nominal size.
@@ -54,6 +59,12 @@ class Growth(NamedTuple):
             absolute: Absolute tolerance of the run, in nominal values.
             followed: Whether the run was repeated with the smaller tolerance.
         """
+        if self.rounding:
+            return (
+                f"from {self.time:.6g} s on, {self.state} is at an unstable equilibrium but for "
+                f"rounding, which grows by e every {self.growth_time:.3g} s; when the motion "
+                "leaves it, and to which side, is chance"
+            )
         own = f"absolute_tolerance {absolute * float(closer.shares):.2g}"
         if followed:
             advice = f"ran with {own} up to {closer.until:.6g} s, so that it is followed"
@@ -113,11 +124,20 @@ def suppressed_growth(
         return None
     rows = _rows_per_step(path.time, steps)
     spans = _straight(path, rows, relative, absolute * path.sizes)
-    found = [growth_along(path, first, last, absolute) for first, last in spans]
-    few = steps >= len(path.time)  # all of it may lie before the first row
-    if few and (line := _first_line(path, relative, absolute)):
-        found.append(growth_along(line, 0, 1, absolute))
-    return min(filter(None, found), key=lambda growth: growth.size, default=None)
+    known = dict[float, Vector]()
+
+    def slopes(time: float, states: Vector) -> Vector:
+        if time not in known:  # several spans begin at one row
+            known[time] = path.slopes(time, states)
+        return known[time]
+
+    remembering = replace(path, slopes=slopes)
+    found = [growth_along(remembering, *span, absolute) for span in spans]
+    found += [
+        growth_along(line, 0, 1, calm, absolute)
+        for line, calm in _first_lines(remembering, relative, absolute)
+    ]
+    return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
 def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
@@ -130,25 +150,37 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
     """
     spans = _straight(path, _rows_per_step(path.time, steps), relative, absolute * path.sizes)
     lines = (
-        (replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1]), first, last)
-        for first, last in spans
+        (
+            replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1]),
+            first,
+            last,
+            calm,
+        )
+        for first, last, calm in spans
     )
-    return any(growth_along(*line, absolute / relative) for line in lines)
+    found = (growth_along(*line, absolute / relative) for line in lines)
+    return any(growth and not growth.rounding for growth in found)
 
 
-def _first_line(path: StatePath, relative: float, absolute: float) -> StatePath | None:
-    """Return the longest line from the start that is one to the tolerance, and the path's end."""
+def _first_lines(
+    path: StatePath, relative: float, absolute: float
+) -> Iterator[tuple[StatePath, Truths]]:
+    """Return lines from the start that are ones to the tolerance, and in which states, (nx,)."""
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
+    slopes = path.slopes(begin, x[:, 0])
+    if not np.isfinite(slopes).all() or np.linalg.eigvals(slopes).real.max() * (stop - begin) <= 1:
+        return
     rate = path.rates(path.time[:1], x)
-    length = path.time[1] - begin
-    while length > _SHORTEST * (stop - begin):
+    length, before = stop - begin, np.zeros(len(x), dtype=bool)
+    while length > _SHORTEST * (stop - begin) and not before.all():
         end = x + length * rate
         bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
-        if (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all():
+        calm = (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all(axis=1)
+        if (calm & ~before).any():
             time = np.array([begin, begin + length, stop])
-            return replace(path, time=time, states=np.hstack((x, end, end)))
+            yield replace(path, time=time, states=np.hstack((x, end, end))), calm
+        before |= calm
         length /= 4
-    return None
 
 
 def _rows_per_step(t: Vector, steps: int) -> Vector:
@@ -159,8 +191,11 @@ def _rows_per_step(t: Vector, steps: int) -> Vector:
 
 def _straight(
     path: StatePath, rows: Vector, relative: float, absolute: Vector
-) -> list[tuple[int, int]]:
-    """Return spans, by their first and last row, in which all states are lines in time."""
+) -> list[tuple[int, int, Truths]]:
+    """Return spans, by their first and last row, and which states are lines in time there, (nx,).
+
+    They are the longest ones in which all states are, and in which some of them are.
+    """
     t, x = path.time[rows], path.states[:, rows]
     gaps = np.diff(t)
     slopes = np.diff(x, axis=1) / gaps
@@ -169,19 +204,33 @@ def _straight(
     else:
         before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
     least = relative * np.abs(x[:, 1:]) + absolute[:, None]
-    calm = np.concatenate(([0], (np.abs((slopes - before) * gaps) <= least).all(axis=0), [0]))
-    edges = np.flatnonzero(np.diff(calm)).reshape(-1, 2)
-    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(gaps))]
-    longest = sorted(edges.tolist(), key=lambda span: t[span[0]] - t[span[1]])[:_MOST_SPANS]
-    return [(int(rows[first]), int(rows[last])) for first, last in longest]
+    calm = np.abs((slopes - before) * gaps) <= least
+    every = _longest(calm.all(axis=0), t)
+    some = {edges for own in calm for edges in _longest(own, t)}.difference(every)
+    chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
+    return [
+        (int(rows[first]), int(rows[last]), calm[:, first:last].all(axis=1))
+        for first, last in chosen
+    ]
 
 
-def growth_along(path: StatePath, first: int, last: int, absolute: float) -> Growth | None:
+def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
+    """Return the longest spans of times, by their first and last place, whose gaps are calm."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], calm, [0])))).reshape(-1, 2)
+    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(calm))]
+    spans = [(first, last) for first, last in edges.tolist()]
+    return sorted(spans, key=lambda span: float(t[span[0]] - t[span[1]]))[:_MOST_SPANS]
+
+
+def growth_along(
+    path: StatePath, first: int, last: int, calm: Truths, absolute: float
+) -> Growth | None:
     """Return the smallest deviation that grows along a line and becomes visible by the last row.
 
     Args:
         path: See `suppressed_growth`.
-        first, last: Rows between which the states are lines in time.
+        first, last: Rows between which states are lines in time.
+        calm: Which of them are, (nx,).
         absolute: Absolute tolerance, in nominal values.
     """
     t, sizes = path.time, path.sizes
@@ -189,21 +238,32 @@ def growth_along(path: StatePath, first: int, last: int, absolute: float) -> Gro
     if not np.isfinite(slopes).all():
         return None
     values, left = np.linalg.eig(slopes.T)
-    growing = values.real * (t[last] - t[first]) > 1
+    shares = np.abs(left.T) / np.abs(left).max(axis=0)[:, None]
+    alone = ~((shares > _COUPLED) & ~calm).any(axis=1)
+    growing = alone & (values.real * (t[last] - t[first]) > 1)
     if not growing.any():
         return None
     rows = np.unique([first, (first + last) // 2, last])
     states = path.states[:, rows]
-    f = path.rates(t[rows], states) / sizes[:, None]
-    rounding = _EPS * np.abs(slopes) @ np.abs(states / sizes[:, None])
+    rate = path.rates(t[[first]], states[:, :1])
+    line = np.where(calm[:, None], states[:, :1] + rate * (t[rows] - t[first]), states)
+    f = path.rates(t[rows], line) / sizes[:, None]
+    rounding = np.abs(slopes) @ np.abs(states / sizes[:, None])
     found = list[Growth]()
     for value, direction in zip(values[growing], left.T[growing], strict=True):
-        push = np.abs(direction @ f)
-        rising = np.flatnonzero(push > _ROUNDINGS * np.abs(direction) @ rounding)
+        push, noise = np.abs(direction @ f), np.abs(direction) @ rounding
+        growing_by, level = float(value.real), _ROUNDINGS * _EPS * noise
+        exponents = np.minimum(growing_by * (t[rows] - t[first]), _MOST_EXPONENT)
+        if 0 < push[0] <= level[0]:  # by then, rounding has grown
+            level = np.fmax(level, level[0] * np.exp(exponents))
+        rising = np.flatnonzero(push > level)
+        only = not len(rising)
+        if only:
+            rising, push = np.flatnonzero(push), _NOISE * noise
         if not len(rising):
             continue
-        rate, size = float(value.real), float(push[rising].min()) / abs(value)
-        if size * np.exp(min(rate * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute:
+        size = float(push[rising].min()) / abs(value)
+        if size * np.exp(min(growing_by * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute:
             state = path.names[int(np.argmax(np.abs(direction)))]
-            found.append(Growth(state, float(t[rows[rising[0]]]), 1 / rate, size))
-    return min(found, key=lambda growth: growth.size, default=None)
+            found.append(Growth(state, float(t[rows[rising[0]]]), 1 / growing_by, size, only))
+    return min(found, key=lambda growth: (growth.rounding, growth.size), default=None)
