@@ -35,6 +35,7 @@ class Hybrid:
         of_time: For each relation, whether its argument depends on time and parameters alone.
         sliding: Positions of the relations whose modes follow from their arguments staying 0.
         solved: The modes of these, (n, 1), as expressions.
+        encloses_lines: Whether arguments that are linear have bounds, too.
     """
 
     dae: Dae
@@ -43,6 +44,7 @@ class Hybrid:
     of_time: tuple[bool, ...]
     sliding: tuple[int, ...] = ()
     solved: SX = SX(0, 1)  # noqa: RUF009  # an empty column, which nothing changes
+    encloses_lines: bool = False
 
     @property
     def modes(self) -> SX:
@@ -113,12 +115,13 @@ class Hybrid:
     def enclosures(self) -> Enclosures:
         """Bounds of the other arguments over a part of a step.
 
-        Those that are linear are left out: they move as steadily as the states.
+        Unless `encloses_lines`, linear ones are left out: they move as steadily as the states.
         """
         moving = ca.vertcat(self.dae.t, self.dae.x, self.dae.u)
         bent = ca.which_depends(self.arguments, moving, 2, True) if self.relations else []
-        chosen = {i: self.relations[i].argument for i in self.of_states if bent[i]}
-        return enclosures(self.dae, chosen, len(self.relations))
+        chosen = [i for i in self.of_states if bent[i] or self.encloses_lines]
+        arguments = {i: self.relations[i].argument for i in chosen}
+        return enclosures(self.dae, arguments, len(self.relations))
 
     @cached_property
     def constant(self) -> list[int]:

@@ -58,6 +58,18 @@ class Enclosures(NamedTuple):
     low: SX
     high: SX
 
+    @property
+    def of_time(self) -> bool:
+        """Whether the bounds depend on time, and thus on the length of the part."""
+        return bool(ca.depends_on(ca.vertcat(self.low, self.high), self.given[0]))
+
+    @property
+    def moving(self) -> list[int]:
+        """Positions of the states, and after them inputs, on whose spans the bounds depend."""
+        ends = ca.vertcat(self.low, self.high)
+        used = [ca.which_depends(ends, own, 1, False) for own in self.given[1:] if ends.numel()]
+        return [i for i, each in enumerate(zip(*used, strict=True)) if any(each)]
+
 
 class _UnknownError(Exception):
     """An operation whose bounds are not known."""

@@ -8,15 +8,8 @@
 #include "evaluation.h"
 #include "events.h"
 #include "logging.h"
-#if ENCLOSED > 0
-#include "between_looks.h"
-#endif
-#if BOUNDED_LIMITS > 0
-#include "glance.h"
-#else
-#define look_at_limits_here(self) ((void)(self))
-#define look_at_gap(self) ((void)(self))
-#define begin_looks_at_limits(self) ((void)(self))
+#if HAS_LOOKS
+#include "looks.h"
 #endif
 
 /* What must be fresh before a variable of a role is read. */
@@ -215,32 +208,35 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
         if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
-    if (self->state.mode == CONTINUOUS_TIME_MODE) look_at_limits_here(self);
-#if ENCLOSED > 0
-    const Status known = get_insides(self, values + N_LIMITS);
-    return known == OK ? look_between(self, values + N_LIMITS) : known;
-#else
-    return N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
+#if HAS_LOOKS
+    const bool looks = self->state.mode == CONTINUOUS_TIME_MODE && note_look(self);
 #endif
+    const Status known = N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
+#if ENCLOSED > 0
+    if (known == OK && looks) look_between(self, values + N_LIMITS);
+#endif
+    return known;
 }
 
 static Status enter_continuous_time(Instance *self) {
     self->state.mode = CONTINUOUS_TIME_MODE;
-#if ENCLOSED > 0
+#if HAS_LOOKS
     forget_looks(self);
 #endif
     begin_watching(self);
-    begin_looks_at_limits(self);
+#if BOUNDED_LIMITS > 0
+    note_look(self);
+#endif
     return OK;
 }
 
 /* The end of a step of an importer of model exchange. */
 static Status complete_integrator_step(Instance *self) {
     const Status status = look_back(self, ERROR);
-    if (status != OK) return status;
-    look_at_limits_here(self);
-    look_at_gap(self);
-    return OK;
+#if BOUNDED_LIMITS > 0
+    if (status == OK && note_look(self)) warn_of_limits(self);
+#endif
+    return status;
 }
 
 static Status get_nominals(Instance *self, double nominals[], size_t count) {

@@ -4,11 +4,12 @@
 
 #include "state.h"
 
-/* What the solver knows of the motion within its step, and fresh steps from where that began: these
-   return false where they fail. */
+/* What the solver knows of the motion within its step: `box`, between which values the states stay,
+   or NULL; and fresh steps from where that began: these return false where they fail. */
 typedef struct {
     void *solver;
     void (*at)(void *solver, double t, double x[], double z[], double u[]);
+    void (*box)(void *solver, double low[], double high[]);
     bool (*step_to)(void *solver, double t, double x[], double z[], double u[]);
 } Motion;
 

@@ -86,6 +86,14 @@ static void within_step(void *cubic, double t, double x[], double z[], double u[
     inputs_at(self->fmu, t, u);
 }
 
+static void box_of_step(void *cubic, double low[], double high[]) {
+    const Cubic *self = cubic;
+    const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
+    for (int i = 0; i < NX; i++)
+        box_of_cubic(a[FIRST_STATE + i], b[FIRST_STATE + i], self->slopes[0][i], self->slopes[1][i],
+                     h, &low[i], &high[i]);
+}
+
 /* The cubic of a step from a state to the present one, whose derivatives must be fresh there. */
 static bool through_ends(Instance *self, const State *from, Cubic *cubic) {
     cubic->fmu = self;
@@ -102,7 +110,8 @@ static bool leaving_on_cubic(Instance *self, const State *from, double end, doub
     if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    find_leaving(self, &(Motion){&cubic, within_step, NULL}, from->values[TIME], end, leaving);
+    const Motion motion = {&cubic, within_step, end > to.values[TIME] ? NULL : box_of_step, NULL};
+    find_leaving(self, &motion, from->values[TIME], end, leaving);
     return true;
 }
 
@@ -152,7 +161,7 @@ static bool end_at_crossing(Instance *self, const State *from, int *relation) {
     if (!through_ends(self, from, &cubic)) return false;
     const State to = self->state;
     cubic.to = &to;
-    const Motion motion = {&cubic, within_step, step_again};
+    const Motion motion = {&cubic, within_step, NULL, step_again};
     Crossing crossing;
     const double begin = from->values[TIME], end = to.values[TIME];
     const bool goes_on = inputs_rest(self) && end < next_event(self);

@@ -26,18 +26,21 @@ typedef struct {
     int limit;
 } Margin;
 
+static bool is_left(const Instance *self, int limit) {
+    return self->state.outside >> limit & 1;
+}
+
 static void all_margins(const Margin *self, double t, double margins[]) {
     if (!margins_on(self->fmu, self->motion, t, margins))
         for (int i = 0; i < N_LIMITS; i++) margins[i] = INFINITY; /* the equations failed */
 }
 
-static void measure_margin(void *margin, const double times[], double margins[]) {
+static void look_at_limit(void *margin, double t, Place *found) {
     const Margin *self = margin;
-    double every[N_LIMITS] = {0};
-    for (int k = 0; k < LOOKS; k++) {
-        all_margins(self, times[k], every);
-        margins[k] = every[self->limit];
-    }
+    double every[N_LIMITS];
+    all_margins(self, t, every);
+    note_no_event(t, found);
+    found->inside[0] = every[self->limit] > 0 ? every[self->limit] : -DBL_MIN;
 }
 
 #if BOUNDED_LIMITS > 0
@@ -79,64 +82,100 @@ static void call_bounds(Instance *fmu, const Part *part, Equation *bounds, doubl
     for (int k = 0; k < BOUNDED_LIMITS; k++) low[k] = NAN;
 }
 
-/* Bounds of the margin of one limit on a part; those of its rate only if they are needed. */
-static Spanned enclose_margin(void *margin, double begin, double end) {
+/* Whether a limit holds on a part at whose ends it does. The rates, which are dear, are enclosed
+   only if the values prove nothing. */
+static bool holds_between(void *margin, const Place *a, const Place *b) {
     const Margin *self = margin;
     double lows[BOUNDED_LIMITS], slowest[BOUNDED_LIMITS], fastest[BOUNDED_LIMITS];
     Part part;
-    int place = 0;
-    enclose_part(self, begin, end, &part);
+    int k = 0;
+    while (bounded_limits[k] != self->limit) k++;
+    enclose_part(self, a->t, b->t, &part);
     call_bounds(self->fmu, &part, model_limits, lows, NULL);
-    while (bounded_limits[place] != self->limit) place++;
-    if (lows[place] >= 0) return (Spanned){lows[place], 0, 0};
+    if (lows[k] >= 0) return true;
     call_bounds(self->fmu, &part, model_limit_rates, slowest, fastest);
-    return (Spanned){lows[place], slowest[place], fastest[place]};
+    const Spanned span = {lows[k], slowest[k], fastest[k]};
+    return stays_positive(&span, a->inside[0], b->inside[0], part.length);
 }
 
-/* The first times by bounds, of limits that have them; what slides obeys laws of its own. Returns
-   whether all times are known. a, b: margins at the ends. */
-static bool find_by_bounds(Margin *margin, double begin, double end, const double a[],
-                           const double b[], double times[]) {
-    double lows[BOUNDED_LIMITS];
+/* Whether bounds prove that all limits that have them, and have not been left, hold on a motion: in
+   the box of states in which they have been proven to, that box made wider, or that of the motion.
+ */
+static bool hold_in_box(const Margin *self, double begin, double end) {
+    Instance *fmu = self->fmu;
+    Proven *proven = &fmu->proven;
+    const double *values = fmu->state.values, *given = values + FIRST_PARAMETER - MODES;
+    const bool known = proven->known && proven->outside == fmu->state.outside &&
+                       memcmp(given, proven->given, (MODES + NP) * sizeof *given) == 0;
+    bool holds = known && begin >= proven->begin && end <= proven->end;
+    double low[ROOM(NX)], high[ROOM(NX)], lows[BOUNDED_LIMITS];
     Part part;
-    if (is_sliding_now(margin->fmu)) return false;
-    enclose_part(margin, begin, end, &part);
-    call_bounds(margin->fmu, &part, model_limits, lows, NULL);
-    for (int k = 0; k < BOUNDED_LIMITS; k++) {
-        const int i = bounded_limits[k];
-        int parts = MOST_ENCLOSED;
-        margin->limit = i;
-        times[i] = INFINITY;
-        if (!(a[i] > 0))
-            times[i] = begin;
-        else if (!(lows[k] >= 0 && b[i] > 0))
-            times[i] = first_unproven(measure_margin, enclose_margin, margin, begin, end, a[i],
-                                      b[i], &parts);
+    if (!self->motion->box) return false;
+    self->motion->box(self->motion->solver, low, high);
+    for (const int *i = moving_limits; *i >= 0; i++) {
+        if (*i >= NX) return false;
+        holds &= low[*i] >= proven->low[*i] && high[*i] <= proven->high[*i];
     }
-    return BOUNDED_LIMITS == N_LIMITS;
+    memcpy(part.u, values + FIRST_INPUT, NU * sizeof *values);
+    for (int trial = !known; !holds && trial < 2; trial++) {
+        part.begin = trial ? begin : fmin(begin, proven->begin);
+        part.length = LIMITS_OF_TIME ? 2 * (end - part.begin) : INFINITY;
+        for (const int *i = moving_limits; *i >= 0; i++) {
+            const double least = trial ? low[*i] : fmin(low[*i], proven->low[*i]);
+            const double most = trial ? high[*i] : fmax(high[*i], proven->high[*i]);
+            const double more = trial ? 0 : WIDER * (most - least);
+            part.low[*i] = least - more;
+            part.high[*i] = most + more;
+        }
+        call_bounds(fmu, &part, model_limits, lows, NULL);
+        holds = true;
+        for (int k = 0; k < BOUNDED_LIMITS; k++)
+            holds &= lows[k] >= 0 || is_left(fmu, bounded_limits[k]);
+        if (!holds) continue;
+        proven->known = true;
+        proven->outside = fmu->state.outside;
+        proven->begin = part.begin;
+        proven->end = part.begin + part.length;
+        memcpy(proven->low, part.low, NX * sizeof *low);
+        memcpy(proven->high, part.high, NX * sizeof *high);
+        memcpy(proven->given, given, (MODES + NP) * sizeof *given);
+    }
+    return holds;
+}
+
+/* When a motion first leaves each limit that has bounds. */
+static void find_by_bounds(Margin *margin, double begin, double end, double times[]) {
+    const bool hold = hold_in_box(margin, begin, end);
+    for (int k = 0; k < BOUNDED_LIMITS; k++) {
+        const int i = margin->limit = bounded_limits[k];
+        times[i] = hold || is_left(margin->fmu, i)
+                       ? INFINITY
+                       : first_crossing(look_at_limit, holds_between, margin, begin, end);
+    }
 }
 #endif
 
-/* When a motion first leaves each limit in a span; DBL_MAX: never, or it was outside before. */
+/* When a motion first leaves each limit in a span; DBL_MAX: never, or it was outside before. What
+   slides obeys laws of its own, without bounds. */
 static void find_leaving(Instance *self, const Motion *motion, double begin, double end,
                          double leaving[]) {
     Margin margin = {self, motion, 0};
     double times[LOOKS + 1] = {begin}, every[LOOKS + 1][N_LIMITS], table[LOOKS + 1];
-    bool all = false;
-    places_within(begin, end, times + 1);
+    int looks = 0;
     for (int i = 0; i < N_LIMITS; i++) leaving[i] = NAN;
-    for (int k = 0; k <= LOOKS; k += LOOKS) all_margins(&margin, times[k], every[k]);
 #if BOUNDED_LIMITS > 0
-    all = find_by_bounds(&margin, begin, end, every[0], every[LOOKS], leaving);
+    if (!is_sliding_now(self)) find_by_bounds(&margin, begin, end, leaving);
 #endif
-    for (int k = 1; k < LOOKS && !all; k++) all_margins(&margin, times[k], every[k]);
+    places_within(begin, end, times + 1);
     for (int i = 0; i < N_LIMITS; i++) {
         margin.limit = i;
-        for (int k = 0; k <= LOOKS && !all; k++) table[k] = every[k][i];
+        for (; isnan(leaving[i]) && looks <= LOOKS; looks++)
+            all_margins(&margin, times[looks], every[looks]);
+        for (int k = 0; k < looks; k++) table[k] = every[k][i];
         if (isnan(leaving[i]))
             leaving[i] =
-                !(table[0] > 0) ? begin : first_outside(measure_margin, &margin, begin, end, table);
-        if (self->state.outside >> i & 1 || leaving[i] == INFINITY) leaving[i] = DBL_MAX;
+                !(table[0] > 0) ? begin : first_outside(look_at_limit, &margin, begin, end, table);
+        if (is_left(self, i) || leaving[i] == INFINITY) leaving[i] = DBL_MAX;
     }
 }
 

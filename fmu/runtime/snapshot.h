@@ -96,15 +96,12 @@ static bool plausible(const Instance *self, const State *state) {
     const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
     if (!all_finite((const double *)&state->before, BEFORE_SIZE)) return false;
-#if ENCLOSED > 0
+    if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
+#endif
+#if HAS_LOOKS
     const double left = state->looks.relation;
     if (!all_finite((const double *)&state->looks, LOOKS_SIZE)) return false;
     if (!(left >= 0 && left <= MODES && left == floor(left))) return false;
-#endif
-    if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
-#endif
-#if BOUNDED_LIMITS > 0
-    if (!all_finite((const double *)&state->at_limits, 2 * GLANCE_SIZE)) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {
         const bool result = variables[i].role == DERIVATIVE || variables[i].role == OUTPUT;

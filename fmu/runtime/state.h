@@ -83,23 +83,20 @@ typedef struct {
 enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
 #endif
 
-#if ENCLOSED > 0 || BOUNDED_LIMITS > 0
+#if HAS_LOOKS
 /* The instance at a point of an importer of model exchange. */
 typedef struct {
-    double known, time, x[ROOM(NX)], dx[ROOM(NX)], u[ROOM(NU)];
-    double inside[ROOM(MODES)]; /* at looks: by how much relations are within their modes */
+    double time, x[ROOM(NX)], dx[ROOM(NX)], u[ROOM(NU)];
+    double inside[ROOM(MODES)]; /* by how much relations are within their modes, at least */
 } Glance;
 
-enum { GLANCE_SIZE = sizeof(Glance) / sizeof(double) };
-#endif
-
-#if ENCLOSED > 0
-/* The last two looks at the event indicators since the last event; all of it doubles. */
+/* Its last two points since the last event; all of it doubles. */
 typedef struct {
     double count; /* how many of them there are */
     Glance last, before;
-    double relation, left; /* 1 + one that has left its mode between them, and when; 0: none */
-    double warned[MODES];  /* 1: its passing has been logged */
+    double seen;                /* 1: the limits between them have been warned of */
+    double relation, left;      /* 1 + one that has left its mode between them, and when; 0: none */
+    double warned[ROOM(MODES)]; /* 1: its passing has been logged */
 } Looks;
 
 enum { LOOKS_SIZE = sizeof(Looks) / sizeof(double) };
@@ -120,11 +117,8 @@ typedef struct {
     Switching switching;
     Before before;
 #endif
-#if ENCLOSED > 0
+#if HAS_LOOKS
     Looks looks;
-#endif
-#if BOUNDED_LIMITS > 0
-    Glance at_limits, before_limits; /* the last two points of model exchange */
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double left[ROOM(N_LIMITS)];   /* last communication step outside each limit, from 1 on */
@@ -140,6 +134,16 @@ typedef struct {
     uint32_t retuned;              /* a parameter has changed since the last one */
     uint32_t outside;              /* limits of the model that are left, a bit each */
 } State;
+
+#if BOUNDED_LIMITS > 0
+/* A box of states and a span of time within which bounds have proven that limits hold: those that
+   have bounds, with these modes and parameters. */
+typedef struct {
+    double begin, end, low[ROOM(NX)], high[ROOM(NX)], given[ROOM(MODES + NP)];
+    uint32_t outside; /* limits that had been left before */
+    bool known;
+} Proven;
+#endif
 
 typedef struct Instance Instance;
 
@@ -167,6 +171,9 @@ struct Instance {
     double **res;
     long long *iw;
     double *w;
+#if BOUNDED_LIMITS > 0
+    Proven proven; /* saves bounds, and changes no result */
+#endif
 #if HAS_EVENTS
     LawOwner laws;
     double sizes[ROOM(NX)]; /* of the states */

@@ -27,7 +27,9 @@
 #endif
 #if !defined BOUNDED_LIMITS
 #define BOUNDED_LIMITS 0 /* whose margins have bounds */
+#define LIMITS_OF_TIME 0 /* whether these depend on time */
 #endif
+#define HAS_LOOKS (ENCLOSED > 0 || BOUNDED_LIMITS > 0) /* of importers of model exchange */
 #if HAS_EVENTS
 #include "laws.h"
 #endif

@@ -36,4 +36,15 @@ static inline void evaluate_both(const Interpolant *p, double t, double *x, doub
     for (int i = 0; i < NX; ++i) dx[i] *= per_time;
 }
 
+/* Between which values they stay, if all rows are finite: each factor is from 0 to 1. */
+static inline void box_of(const Interpolant *p, double *low, double *high) {
+    for (int i = 0; i < NX; ++i) {
+        low[i] = high[i] = p->row[7][i];
+        for (int j = 6; j >= 0; --j) {
+            low[i] = p->row[j][i] + (low[i] < 0 ? low[i] : 0);
+            high[i] = p->row[j][i] + (high[i] > 0 ? high[i] : 0);
+        }
+    }
+}
+
 #endif

@@ -37,6 +37,11 @@ static inline V every(double a) {
 static inline V pick(M where, V yes, V no) {
     return (V)((where & (M)yes) | (~where & (M)no));
 }
+static inline int any(M where) {
+    int found = 0;
+    FOR_LANES found |= where[l] != 0;
+    return found;
+}
 static inline V truth(M where) {
     return pick(where, every(1), every(0));
 }

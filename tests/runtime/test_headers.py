@@ -13,7 +13,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 MASTER = SOLVERS.parent / "master"
 KERNEL = SOLVERS / "hybrid"
 FILES = [*RUNTIME.iterdir(), *SOLVERS.glob("*.h"), *KERNEL.iterdir(), *MASTER.iterdir()]
-SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1}
+SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1, "NB": 1, "LIMITS_OF_TIME": 1}
 SIZES |= {"LAWS_ARG": 9, "LAWS_RES": 5, "LAWS_IW": 1, "LAWS_W": 1}
 SIZES |= dict.fromkeys(("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED"), 1)
 SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)

@@ -1,34 +1,15 @@
-/* The first place within a step of a solver where a relation leaves its mode. Bounds over a part of
- * the step prove that none does, or the part is halved. Relations without bounds are looked at in
- * several places, and at the least values between them, so that two crossings are seen, too. The
- * step then ends where fresh steps cross; where they do not, it was only touched.
+/* The end of a solver's step where a relation leaves its mode first: where fresh steps cross; where
+ * they do not, it was only touched.
  */
 #ifndef HYBRID_SEARCH_H
 #define HYBRID_SEARCH_H
 
 #include "enclosure.h"
+#include "margins.h"
 #include "settle.h"
 
-enum { PLACES = 9, MOST_HALVINGS = 100, MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
+enum { MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
 enum { MOST_BEYOND = 2 }; /* steps of rounding beyond a crossing */
-
-/* Least value of a dip that is searched, as a share of its larger end: on the cubic of a whole
-   step, and of a part of it. */
-static const double SHALLOW = 0.5, SHALLOW_PART = 0.2;
-
-/* Margins and their rates at a time. What has no value is no event: the solver rejects such steps
-   itself. */
-typedef struct {
-    double t, inside[MODES + 1], rates[MODES + 1];
-} Place;
-
-static inline void note_no_event(double t, Place *found) {
-    found->t = t;
-    for (int i = 0; i < MODES; ++i) {
-        found->inside[i] = 1;
-        found->rates[i] = 0;
-    }
-}
 
 /* The margins at a point. */
 static inline bool margins_at(const Laws *laws, const Switching *s, const Point *at, Place *found) {
@@ -39,22 +20,11 @@ static inline bool margins_at(const Laws *laws, const Switching *s, const Point 
     return true;
 }
 
-typedef void LookAt(void *motion, double t, Place *found);
-
-/* Whether bounds prove that no relation is outside between two places where none is. */
-typedef bool Stays(void *motion, const Place *a, const Place *b);
-
 typedef struct {
     double time;
     int relation; /* -1: none */
     double since; /* from then on, only rounding is between the argument and its boundary */
 } Crossing;
-
-static inline int outside(const Place *place) {
-    for (int i = 0; i < MODES; ++i)
-        if (place->inside[i] < 0) return i;
-    return -1;
-}
 
 /* The relation that leaves its mode at a place, such as an output time, whatever side rounding has
  * left it on; -1: none. */
@@ -84,33 +54,6 @@ static inline double better_time(Bounds *self, double t, double inside, double r
     return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
 }
 
-/* Moves a place that is not within all modes back to one that is, to the rounding of time. */
-static inline void narrow(LookAt *look, void *motion, double low, Place *high) {
-    Place place;
-    for (int n = 0; n < MOST_HALVINGS; ++n) {
-        const double middle = low + (high->t - low) / 2;
-        if (!(middle > low && middle < high->t)) break;
-        look(motion, middle, &place);
-        if (outside(&place) >= 0)
-            *high = place;
-        else
-            low = middle;
-    }
-}
-
-/* May a relation that first falls and then rises have been outside between two places? */
-static inline int may_dip(const Place *a, const Place *b, int i, double shallow) {
-    if (!(a->rates[i] < 0 && b->rates[i] > 0)) return 0;
-    const double h = b->t - a->t, most = fmax(a->inside[i], b->inside[i]);
-    double least = most;
-    for (int k = 1; k < PLACES; ++k) { /* on the cubic */
-        const double s = (double)k / PLACES, r = 1 - s;
-        const double ends = r * r * (1 + 2 * s) * a->inside[i] + s * s * (1 + 2 * r) * b->inside[i];
-        least = fmin(least, ends + h * s * r * (r * a->rates[i] - s * b->rates[i]));
-    }
-    return least < shallow * most;
-}
-
 /* Whether a relation has, or may have, left its mode between two places, be it by rounding;
  * `goes_on`: the motion goes on as it is. */
 static inline int is_suspect(const Switching *s, const Place *a, const Place *b, bool goes_on) {
@@ -122,64 +65,6 @@ static inline int is_suspect(const Switching *s, const Place *a, const Place *b,
         if (last.inside[i] < 0 || may_dip(&first, &last, i, SHALLOW)) return 1;
     }
     return goes_on && leaving_at(s, b) >= 0;
-}
-
-/* The place where a relation is least. */
-static inline Place bottom(LookAt *look, void *motion, int i, Place a, Place b) {
-    Place place;
-    for (int n = 0; n < MOST_HALVINGS; ++n) {
-        const double middle = a.t + (b.t - a.t) / 2;
-        if (!(middle > a.t && middle < b.t)) break;
-        look(motion, middle, &place);
-        if (place.inside[i] < 0) return place;
-        if (place.rates[i] < 0)
-            a = place;
-        else
-            b = place;
-    }
-    return b;
-}
-
-/* Moves a part, at whose ends no relation is outside, on to the first one that ends outside; false
- * if there is none. */
-static inline bool find_outside(LookAt *look, Stays *stays, void *motion, Place *a, Place *b,
-                                int *parts) {
-    const Place last = *b;
-    while (*parts > 0 && a->t < last.t) {
-        const double length = b->t - a->t, middle = a->t + length / 2;
-        const bool is_shortest = !(middle > a->t && middle < b->t);
-        const bool goes_on = is_shortest || stays(motion, a, b);
-        --*parts;
-        if (goes_on) *a = *b;
-        const double t = goes_on ? a->t + 2 * length : middle;
-        if (t < last.t)
-            look(motion, t, b);
-        else
-            *b = last;
-        if (outside(b) >= 0) return true;
-    }
-    return false;
-}
-
-/* The relation that is outside first after a place, up to a time, or -1; `found`: where it is so,
- * or the end. */
-static inline int crossing_between(LookAt *look, Stays *stays, void *motion, Place before,
-                                   double end, Place *found) {
-    const double from = before.t;
-    int parts = MOST_ENCLOSED;
-    *found = before;
-    for (int k = 1; k <= PLACES && outside(found) < 0; ++k) {
-        before = *found;
-        look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, found);
-        for (int i = 0; i < MODES && outside(found) < 0; ++i)
-            if (may_dip(&before, found, i, SHALLOW_PART)) {
-                const Place least = bottom(look, motion, i, before, *found);
-                if (least.inside[i] < 0) *found = least;
-            }
-        if (outside(found) >= 0 || find_outside(look, stays, motion, &before, found, &parts))
-            narrow(look, motion, before.t, found);
-    }
-    return outside(found);
 }
 
 /* -- the end of a step at a crossing ---------------------------------------------------------- */

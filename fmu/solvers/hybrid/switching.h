@@ -3,6 +3,7 @@
 #ifndef HYBRID_SWITCHING_H
 #define HYBRID_SWITCHING_H
 
+#include "bounds.h"
 #include "laws.h"
 
 /* States of a relation. */
@@ -44,7 +45,6 @@ _Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it 
 
 static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
 static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
-static const double LOCATED = 8 * DBL_EPSILON; /* the same of a located event of states */
 
 /* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
 static inline double time_scale(const Switching *s, double t) {

@@ -5,7 +5,7 @@ two rows of a motion, and searches where that proves nothing; there the motion g
 """
 
 from collections.abc import Callable
-from functools import cached_property
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,9 +14,10 @@ from casadi import SX
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
-from casadi_models.dae.time_bounds import Enclosures, enclosures, limit_enclosures
+from casadi_models.dae.time_bounds import limit_enclosures
 from cosim.arrays import Truths, Vector
 from cosim.errors import MissingTool
+from cosim.integrate.call import call_on_arrays
 from cosim.integrate.kernel import Kernel, Rows
 from cosim.integrate.motion import Motion
 from cosim.memo import cached_per_thread
@@ -28,15 +29,6 @@ _INNER = 8  # parts of an interval that proves nothing
 _SPANS = 1, 32  # parts of a run, whose spans are tried first
 _CLOSE = 1e-9  # relative difference of times that are one
 _NEAR = 6  # rows on each side of a violation, each 1/8 as far from it as the one before
-
-
-class _Limits(Hybrid):
-    """Margins as relations of equations without laws."""
-
-    @cached_property
-    def enclosures(self) -> Enclosures:
-        own = {i: relation.argument for i, relation in enumerate(self.relations)}
-        return enclosures(self.dae, own, len(self.relations))
 
 
 class _Watched(NamedTuple):
@@ -79,7 +71,7 @@ def _watched(dae: Dae) -> _Watched | None:
         none, none, variables, (), (), dae.parameters, (), (), (), (), (0.0,) * len(moved),
     )  # fmt: skip
     system = Hybrid(plain, (), (), ()).watching_more(margins, "limit")
-    system = _Limits(system.dae, system.relations, (), (False,) * len(limits))
+    system = replace(system, of_time=(False,) * len(limits), encloses_lines=True)
     part = system.enclosures
     rows = (dae.ode[i] for i in moved if i < dae.x.numel())
     rates = ca.densify(ca.vertcat(none, *rows))
@@ -134,16 +126,17 @@ def _holds(watched: _Watched, motion: Motion, p: Vector) -> bool:
     u = np.broadcast_to(motion.u, (len(motion.u), len(t)))
     nx = len(motion.states)
     x = np.array([motion.states[i] if i < nx else u[i - nx] for i in watched.moved])
-    bend = np.abs(np.diff(x, 2)).max(axis=1, initial=0)[:, None]  # eight times what lines are off
+    bend = np.abs(np.diff(x, 2)).max(axis=1, initial=0)  # eight times what lines are off
+    buffer, low = watched.lows.buffer(), np.empty(len(watched.limits))
     for parts in _SPANS:
         edges = np.arange(0, len(t) - 1, -(-(len(t) - 1) // parts))
         ends = np.append(edges[1:], len(t) - 1)
         least, most = (
-            function(function.reduceat(x, edges, axis=1), x[:, ends])
+            function(function.reduceat(x, edges, axis=1), x[:, ends]).T
             for function in (np.minimum, np.maximum)
         )
-        spans = t[edges][None], (t[ends] - t[edges])[None], least - bend, most + bend, p
-        if np.array(watched.lows(*spans)).min() > 0:
+        every = zip(t[edges, None], (t[ends] - t[edges])[:, None], least - bend, most + bend)
+        if all(call_on_arrays(buffer, [*own, p], [low]) and low.min() > 0 for own in every):
             return True
     return False
 

@@ -79,13 +79,6 @@ def model_functions(
     )
 
 
-def moving_quantities(bounds: Enclosures) -> list[int]:
-    """Return the positions of the states and inputs on whose spans bounds depend."""
-    ends = ca.vertcat(bounds.low, bounds.high)
-    used = [ca.which_depends(ends, given, 1, False) for given in bounds.given[1:] if ends.numel()]
-    return [i for i, each in enumerate(zip(*used, strict=True)) if any(each)]
-
-
 def _limit_functions(dae: Dae, bounds: Enclosures) -> list[ca.Function]:
     """Return the bounds of margins, and of their rates, which are seldom needed."""
     if not bounds.relations:

@@ -5,17 +5,20 @@ import hashlib
 import platform
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import operations
+from casadi_models.dae.time_bounds import limit_enclosures
 from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import generated
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.functions import hoisted
 from cosim.codegen.initialization import start_function
-from cosim.codegen.runge_kutta.lanes import vector_text
+from cosim.codegen.runge_kutta.lanes import LANE_OPERATIONS, vector_text
 from cosim.codegen.runge_kutta.stage_sums import LANES, NAMES, dop853_sums
 from cosim.errors import UsageError
 from cosim.memo import cached_per_thread
@@ -110,15 +113,16 @@ def _compiled(kind: str, text: str) -> ctypes.CDLL:
 
 def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     known = dict(zip((v.name for v in dae.states), ca.vertsplit(dae.x), strict=True))
-    rows = zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
-    known |= dict(rows)
+    known |= zip((v.name for v in dae.output_variables), ca.vertsplit(dae.outputs), strict=True)
     recorded = ca.vertcat(ca.SX(0, 1), *(known[name] for name in outputs))
     observed = ca.vertcat(recorded, dae.margins)
     sparsity = ca.jacobian_sparsity(observed, dae.x)
     _, columns = sparsity.get_triplet()
     needed = sorted(set(columns))
-    every, c, constants = hoisted(dae, ca.vertcat(dae.ode, observed))
-    nx, ny = dae.x.numel(), recorded.numel()
+    limits = _lane_bounds(dae, needed)
+    rows = ca.vertcat(dae.ode, observed, limits.low, *limits.rates)
+    every, c, constants = hoisted(dae, rows)
+    nx, ny, nb = dae.x.numel(), recorded.numel(), limits.low.numel()
     read = dae.x[needed] if needed else ca.SX(0, 1)
     functions = {
         "constants": constants,
@@ -131,11 +135,19 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
         ),
     }
     if dae.limits:
-        margins = ca.densify(every[nx + ny :])
+        first = nx + ny + len(dae.limits)
+        margins = ca.densify(every[nx + ny : first])
         functions["margins"] = ca.Function("f", [dae.t, read, dae.u, c], [margins], _CSE)
+        low, *rates = (ca.densify(every[first + i * nb : first + (i + 1) * nb]) for i in range(3))
+        given = [dae.t, *limits.given, dae.u, c]
+        functions["bounds"] = ca.Function("f", given, [low], _CSE)
+        functions["rates"] = ca.Function("f", given, rates, _CSE)
     sizes = {"NX": nx, "NU": dae.u.numel(), "NP": dae.p.numel(), "NC": c.numel()}
-    sizes |= {"NN": len(needed), "NY": ny, "NL": len(dae.limits)}
-    places = ", ".join(map(str, needed)) or "0"
+    sizes |= {"NN": len(needed), "NY": ny, "NL": len(dae.limits), "NB": nb, "MODES": 0}
+    sizes["LIMITS_OF_TIME"] = int(limits.of_time)
+    tables = {"needed": needed, "bounded": limits.positions, "moving": limits.moving}
+    numbers = {name: ", ".join(map(str, (*own, -1))) for name, own in tables.items()}
+    of_limits = ("margins", "bounds", "rates")
     return "\n".join(
         (
             _start_text(dae),
@@ -143,14 +155,57 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
             *(f"#define {name} {size}" for name, size in sizes.items()),
             solver_source("lanes_start.h"),
             solver_source("lanes_dop853.h"),
-            f"static const int model_needed[] = {{{places}}};",
+            *(f"static const int model_{name}[] = {{{own}}};" for name, own in numbers.items()),
             *(vector_text(function, name) for name, function in functions.items()),
             dop853_sums(LANES),
             "static const LaneModel model = {",
-            f"    constants, rhs, observe, {'margins' if dae.limits else 'NULL'}, model_needed,",
-            f"    {', '.join(NAMES)}",
+            f"    constants, rhs, observe, {', '.join(of_limits if dae.limits else ['NULL'] * 3)},",
+            f"    model_bounded, model_moving, model_needed, {', '.join(NAMES)}",
             "};",
         )
+    )
+
+
+class _LaneBounds(NamedTuple):
+    """Bounds of the margins of limits over a part of a step of a lane, whose inputs rest.
+
+    Attributes:
+        positions: Positions of the limits that have bounds.
+        moving: Positions, among the states that are needed, of those that move the bounds.
+        of_time: Whether time moves them.
+        given: Symbols of the length of the part, s; of the least and greatest values of the states
+            that are needed, and of their least and greatest rates.
+        low: Lower bounds of the margins.
+        rates: Lower and upper bounds of their rates.
+    """
+
+    positions: tuple[int, ...]
+    moving: list[int]
+    of_time: bool
+    given: list[ca.SX]
+    low: ca.SX
+    rates: tuple[ca.SX, ca.SX]
+
+
+def _lane_bounds(dae: Dae, needed: Sequence[int]) -> _LaneBounds:
+    part = limit_enclosures(dae)
+    names = ("low", "high", "slowest", "fastest")
+    given = [ca.SX.sym(name, len(needed)) for name in names]
+    spans = [
+        ca.vertcat(ca.SX.zeros(dae.x.numel()), u) for u in (dae.u, dae.u, 0 * dae.u, 0 * dae.u)
+    ]
+    for span, own in zip(spans, given, strict=True):
+        for i, symbol in zip(needed, ca.vertsplit(own) if needed else [], strict=True):
+            span[i] = symbol
+    every = ca.vertcat(part.low, part.high)
+    every = ca.substitute(every, ca.vertcat(*part.given[1:]), ca.vertcat(*spans))
+    low, high = ca.vertsplit(every, part.low.numel()) if part.relations else (every, every)
+    if not operations(every) <= LANE_OPERATIONS:
+        low = high = ca.SX(0, 1)
+    moving = [needed.index(i) for i in part.moving if i < dae.x.numel()]
+    known = part.relations if low.numel() else ()
+    return _LaneBounds(
+        known, moving, part.of_time, [part.given[0], *given], low[::2], (low[1::2], high[1::2])
     )
 
 

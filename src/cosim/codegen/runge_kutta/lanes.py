@@ -15,6 +15,7 @@ from cosim.memo import cached_per_thread
 
 _FORMS = json.loads(Path(__file__).with_name("lane_forms.json").read_text())
 _LANE_FORMS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
+LANE_OPERATIONS = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_LANE_FORMS}
 _PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
 
 
@@ -22,7 +23,7 @@ _PARTNER = {ca.OP_SIN: ca.OP_COS, ca.OP_COS: ca.OP_SIN}
 def fits_lanes(dae: Dae) -> bool:
     """Return whether every operation of a model has a vector form; function calls have none."""
     codes = operations(ca.vertcat(dae.ode, dae.outputs, dae.margins))
-    return codes <= {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_LANE_FORMS}
+    return codes <= LANE_OPERATIONS
 
 
 def vector_text(function: ca.Function, name: str) -> str:

@@ -8,7 +8,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
-from cosim.codegen.fmu.equations import bounded_limits, generated_code, moving_quantities
+from cosim.codegen.fmu.equations import bounded_limits, generated_code
 from cosim.codegen.fmu.solver import most_trials
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
@@ -24,6 +24,7 @@ from cosim.text import violated
 def model_header(plan: Plan, guid: str) -> str:
     """Return `model.h`: sizes and names for compiling the runtime."""
     dae, options, step_size = plan.dae, plan.options, plan.step_size
+    bounds = bounded_limits(dae, plan.system)
     longest = min(options.max_step or inf, dae.experiment.stop_time / LEAST_STEPS)
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
@@ -38,7 +39,8 @@ def model_header(plan: Plan, guid: str) -> str:
 #define NP {len(dae.parameters)}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
-#define BOUNDED_LIMITS {len(bounded_limits(dae, plan.system).relations)}
+#define BOUNDED_LIMITS {len(bounds.relations)}
+#define LIMITS_OF_TIME {int(bounds.of_time)}
 #define HAS_VALID {int(options.valid)}
 #define DEFAULT_TOLERANCE {options.tolerance!r}
 #define HAS_RANK {int(plan.detects_singularity)}
@@ -58,7 +60,7 @@ def variable_table(plan: Plan) -> str:
     limits = "".join(f"    {_literal(meaning)},\n" for _, meaning in plan.dae.limits)
     violations = "".join(f"    {_literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
     bounds = bounded_limits(plan.dae, plan.system)
-    bounded, moving = (*bounds.relations, -1), (*moving_quantities(bounds), -1)
+    bounded, moving = (*bounds.relations, -1), (*bounds.moving, -1)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)
     return f"""/* Generated. */

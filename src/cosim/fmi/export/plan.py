@@ -123,7 +123,7 @@ class Part:
 MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a second
 _KERNEL_OF_EVENTS = (
     *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "bounds.h"),
-    *("enclosure.h", "search.h", "model_laws.h", "ode.h"),
+    *("enclosure.h", "margins.h", "search.h", "model_laws.h", "ode.h"),
 )
 
 # Every FMU contains the files of fmu/runtime that belong to no part.
@@ -145,16 +145,11 @@ PARTS = (
         lambda plan: plan.system is not None,
         ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
     ),
-    Part(
-        "relations that have bounds between two looks of an importer",
-        lambda plan: plan.system is not None and bool(plan.system.enclosures.relations),
-        ("between_looks.h",),
-    ),
     Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h", "bounds.h")),
     Part(
         "a motion between two points of an importer",
         lambda plan: plan.bounds_limits or bool(plan.system and plan.system.enclosures.relations),
-        ("glance.h", "cubic.h"),
+        ("looks.h", "cubic.h"),
     ),
     Part(
         "constraints that may become singular",
