@@ -45,6 +45,11 @@ def expect(stats: Any, kind: str, width: float, within: float = 1e-6) -> None:
     assert reason.time == pytest.approx(leaves(kind, width), abs=within)
 
 
+def violated_at(many: Any, i: int) -> float:
+    """Return the time that the text of a run's violation begins with, "invalid from 0.5 s"."""
+    return float(many.invalid[i].split()[2])
+
+
 @pytest.mark.parametrize("solver", NATIVE)
 @pytest.mark.parametrize("kind", MARGINS)
 def test_native_run_reports_a_narrow_limit(kind: str, solver: str) -> None:
@@ -53,6 +58,43 @@ def test_native_run_reports_a_narrow_limit(kind: str, solver: str) -> None:
         run = cosim.simulate(dae, start_values={"w": width}, solver=solver, **STEPS.get(solver, {}))
         expect(run.stats, kind, width)
         assert len(run) == 41
+
+
+def test_lanes_report_a_narrow_limit() -> None:
+    many = cosim.simulate_many(pendulum("in two states"), {"w": WIDTHS}, solver="dop853")
+    assert "lanes" in many.stats
+    for i, width in enumerate(WIDTHS):
+        assert violated_at(many, i) == pytest.approx(leaves("in two states", width), abs=1e-6)
+
+
+def test_lanes_report_the_first_of_many_narrow_violations() -> None:
+    model = Model("waves", stop_time=6.0, output_interval=0.5)
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1/s", 1.0, "speed")
+    k, a = model.parameter("k", "1", 30.0, "waves"), model.parameter("a", "1", 0.0, "phase")
+    w = model.parameter("w", "1", 1e-3, "depth")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.limit(1 - w - ca.sin(k * x + a), "no peak")
+    rng = np.random.default_rng(1)
+    runs = {"k": rng.uniform(10, 60, 99), "a": rng.uniform(-3, 1.4, 99)}
+    runs["w"] = 10 ** rng.uniform(-7, -2.5, 99)
+    many = cosim.simulate_many(model.freeze(), runs, solver="dop853")
+    first = np.arcsin((np.pi / 2 - np.arccos(1 - runs["w"]) - runs["a"]) / runs["k"])
+    for i, time in enumerate(first):
+        assert violated_at(many, i) == pytest.approx(time, abs=1e-5)
+
+
+def test_a_narrow_limit_of_an_input_is_reported() -> None:
+    model = Model("driven", stop_time=6.0, output_interval=0.5)
+    x, u = model.state("x", "1", 0.0, "place"), model.input("u", "1", 0.0, "drive")
+    w = model.parameter("w", "1", 0.01, "width")
+    model.derivative(x, u - x)
+    model.limit((u - 0.5) ** 2 - w**2, "it is narrow")
+    dae = model.freeze()
+    for width in WIDTHS:
+        run = cosim.simulate(dae, inputs={"u": "sin(t)"}, start_values={"w": width})
+        (reason,) = run.stats["invalid"]
+        assert reason.time == pytest.approx(np.arcsin(0.5 - width), abs=1e-9)
 
 
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])

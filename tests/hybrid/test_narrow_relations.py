@@ -60,6 +60,20 @@ def test_no_solver_steps_over_a_narrow_relation(kind: str, solver: str) -> None:
         assert run.final["y"] == pytest.approx(spent, rel=0.02)
 
 
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
+def test_the_first_of_two_excursions_within_a_step_is_the_event(solver: str) -> None:
+    model = Model("two", stop_time=10.0, output_interval=5.0)
+    x, n = model.state("x", "1", 0.0, "time"), model.discrete("n", "1", 0.0, "count")
+    place = model.parameter("place", "1", 0.1, "of the narrow excursion")
+    model.derivative(x, 1)
+    model.when(((x - place) ** 2 - 1e-8) * (0.9 - x) < 0, {n: n + 1}, name="in")
+    dae = model.freeze()
+    steps = {"step_size": 5.0} if solver == "rk4" else {}
+    for where in np.linspace(0.05, 0.85, 9):
+        run = cosim.simulate(dae, solver=solver, start_values={"place": where}, **steps)
+        assert [e.time for e in run.events] == pytest.approx([where - 1e-4, 0.9], abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("kind", "solver"), [*((kind, "dop853") for kind in CONDITIONS), ("bump", "rosenbrock")]
 )

@@ -13,7 +13,19 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 MASTER = SOLVERS.parent / "master"
 KERNEL = SOLVERS / "hybrid"
 FILES = [*RUNTIME.iterdir(), *SOLVERS.glob("*.h"), *KERNEL.iterdir(), *MASTER.iterdir()]
-SIZES = {"NX": 2, "NZ": 1, "NU": 1, "NC": 1, "NP": 1, "NN": 1, "NY": 1, "NL": 1, "LANES": 1, "NB": 1, "LIMITS_OF_TIME": 1}
+SIZES = {
+    "NX": 2,
+    "NZ": 1,
+    "NU": 1,
+    "NC": 1,
+    "NP": 1,
+    "NN": 1,
+    "NY": 1,
+    "NL": 1,
+    "LANES": 1,
+    "NB": 1,
+    "LIMITS_OF_TIME": 1,
+}
 SIZES |= {"LAWS_ARG": 9, "LAWS_RES": 5, "LAWS_IW": 1, "LAWS_W": 1}
 SIZES |= dict.fromkeys(("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED"), 1)
 SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)
@@ -56,7 +68,7 @@ def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
     [
         ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
         ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("hybrid/laws.h", "MODES"),
-        ("lanes_start.h", "START_W"),
+        ("lanes_start.h", "START_W"), ("lanes_limits.h", "NB"),
     ],
 )  # fmt: skip
 def test_a_forgotten_size_is_an_error_and_no_default(header, missing):

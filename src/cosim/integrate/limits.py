@@ -126,6 +126,7 @@ def _holds(watched: _Watched, motion: Motion, p: Vector) -> bool:
     u = np.broadcast_to(motion.u, (len(motion.u), len(t)))
     nx = len(motion.states)
     x = np.array([motion.states[i] if i < nx else u[i - nx] for i in watched.moved])
+    x = x.reshape(-1, len(t))
     bend = np.abs(np.diff(x, 2)).max(axis=1, initial=0)  # eight times what lines are off
     buffer, low = watched.lows.buffer(), np.empty(len(watched.limits))
     for parts in _SPANS:
@@ -135,7 +136,8 @@ def _holds(watched: _Watched, motion: Motion, p: Vector) -> bool:
             function(function.reduceat(x, edges, axis=1), x[:, ends]).T
             for function in (np.minimum, np.maximum)
         )
-        every = zip(t[edges, None], (t[ends] - t[edges])[:, None], least - bend, most + bend)
+        spans = t[edges, None], (t[ends] - t[edges])[:, None], least - bend, most + bend
+        every = zip(*spans, strict=True)
         if all(call_on_arrays(buffer, [*own, p], [low]) and low.min() > 0 for own in every):
             return True
     return False

@@ -206,10 +206,15 @@ class Piece:
         u, _ = self._inputs(times)
         return np.array(equations(self.own.dae)(times[None], x.T, z.T, u.T, self.p)[0]).T
 
+    @property
+    def has_bounds(self) -> bool:
+        """Whether bounds of relations tell where they stay."""
+        return bool(self.system.enclosures.relations) and not self.own.sliding
+
     def stay(self, inside: Vector) -> NDArray[np.bool_]:
         """Return from which times to the next no relation leaves its mode, by bounds, (n - 1,)."""
         assert self.kernel is not None
-        if self.own.sliding or not self.system.enclosures.relations:
+        if not self.has_bounds:
             return np.ones(len(self.times) - 1, dtype=bool)
         return self.kernel.stay(self.rows(inside, 0, len(self.times)))
 
@@ -329,7 +334,8 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         elif seen[k]:
             found = _in_interval(piece, k, np.flatnonzero(outside[k] | dips[k]))
         else:
-            found = _unproven(piece, k, inside)
+            share, i = _by_bounds(piece, k)
+            found = None if i < 0 else _refined(piece, k, share, i)
         if found is None and leaving[k] >= 0:
             t, x, z = (rows[k + 1 : k + 2] for rows in (piece.times, piece.x, piece.z))
             found = _at_event(piece, t[0], x[0], piece.watched(t, x, z), int(leaving[k]))
@@ -338,12 +344,13 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
     return None
 
 
-def _unproven(piece: Piece, k: int, inside: Vector) -> Located | None:
-    """Return the first event between two rows where bounds do not exclude one; None without one."""
+def _by_bounds(piece: Piece, k: int) -> tuple[float, int]:
+    """Return where on the cubic of an interval, 0 to 1, a relation leaves its mode first; or -1."""
     assert piece.kernel is not None
+    inside = piece.margins(piece.seen)[0] + piece.noise
     time, i = piece.kernel.search(piece.rows(inside, k, k + 2), piece.z[k])
     begin, end = piece.times[k : k + 2].tolist()
-    return None if i < 0 else _refined(piece, k, (time - begin) / (end - begin), i)
+    return (time - begin) / (end - begin), i
 
 
 def located_at_end(piece: Piece) -> Located | None:
@@ -388,8 +395,10 @@ def _in_interval(
             first = int(bad[0])
             low, high = float(shares[first]), float(shares[first + 1])
             if high - low <= _NARROW * high:
-                i = int(np.argmin(inside[first + 1]))
-                return _refined(piece, k, high, i) or _in_interval(piece, k, which, without | {i})
+                share, i = _by_bounds(piece, k) if piece.has_bounds and not without else (1.0, -1)
+                if i < 0 or share > low - _NARROW:  # not an earlier excursion
+                    share, i = high, int(np.argmin(inside[first + 1]))
+                return _refined(piece, k, share, i) or _in_interval(piece, k, which, without | {i})
             continue
         turning = (towards[:-1, which] < 0) & (towards[1:, which] > 0)
         rows = np.flatnonzero(turning.any(axis=1))
