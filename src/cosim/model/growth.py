@@ -133,10 +133,11 @@ def suppressed_growth(
 
     remembering = replace(path, slopes=slopes)
     found = [growth_along(remembering, *span, absolute) for span in spans]
-    found += [
-        growth_along(line, 0, 1, calm, absolute)
-        for line, calm in _first_lines(remembering, relative, absolute)
-    ]
+    if spans or steps >= len(path.time):  # where steps are closer than rows, a line may be shorter
+        found += [
+            growth_along(line, 0, 1, calm, absolute)
+            for line, calm in _first_lines(remembering, relative, absolute)
+        ]
     return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
@@ -205,6 +206,8 @@ def _straight(
         before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
     least = relative * np.abs(x[:, 1:]) + absolute[:, None]
     calm = np.abs((slopes - before) * gaps) <= least
+    if not calm.any():
+        return []
     every = _longest(calm.all(axis=0), t)
     some = {edges for own in calm for edges in _longest(own, t)}.difference(every)
     chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
