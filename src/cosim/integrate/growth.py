@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -146,7 +147,7 @@ def _trough(
 
 def growth_in(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:
     """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
-    if not _feeds_back(motion.dae):
+    if not _fed_back(motion.dae).any():
         return None
     path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
     return suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
@@ -169,7 +170,7 @@ def _path(motion: Motion, sizes: Vector, p: Vector) -> StatePath:
         return found[: len(states), : len(states)]
 
     names = [state.name for state in motion.dae.states]
-    return StatePath(names, motion.time, motion.states, sizes, rates, slopes)
+    return StatePath(names, motion.time, motion.states, sizes, rates, slopes, _fed_back(motion.dae))
 
 
 def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
@@ -180,16 +181,19 @@ def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
 
 
 @cached_per_thread(16)
-def _feeds_back(dae: Dae) -> bool:
-    """Return whether a state acts on its own rate, be it by others; otherwise nothing grows by e.
+def _fed_back(dae: Dae) -> Truths:
+    """Return which states act on their own rates, be it by others, (nx,); no others grow by e.
 
-    Algebraic unknowns are taken to do so.
+    Algebraic unknowns are taken to pass on everything.
     """
-    acts = np.array(ca.DM(ca.jacobian_sparsity(dae.ode, dae.x), 1))
-    power = np.eye(len(acts))
-    for _ in acts:
-        power = np.minimum(power @ acts, 1)
-    return bool(dae.algebraics or power.any())
+    if dae.algebraics:
+        return np.ones(len(dae.states), dtype=bool)
+    acts = ca.jacobian_sparsity(dae.ode, dae.x)
+    _, order, ends = acts.scc()
+    found = np.array([acts.has_nz(i, i) for i in range(len(dae.states))], dtype=bool)
+    for first, last in pairwise(ends):
+        found[order[first:last]] |= last - first > 1
+    return found
 
 
 @cached_per_thread(16)

@@ -100,6 +100,7 @@ class StatePath:
         rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
         slopes: Returns the derivatives of dx/dt by the states, (nx, nx), at a time, s, and states,
             (nx,); not finite where they have no value.
+        fed_back: Which states may grow by acting on themselves, (nx,); all if None.
     """
 
     names: Sequence[str]
@@ -108,6 +109,7 @@ class StatePath:
     sizes: Vector
     rates: Callable[[Vector, Vector], Vector]
     slopes: Callable[[float, Vector], Vector]
+    fed_back: Truths | None = None
 
 
 def suppressed_growth(
@@ -133,10 +135,11 @@ def suppressed_growth(
 
     remembering = replace(path, slopes=slopes)
     found = [growth_along(remembering, *span, absolute) for span in spans]
-    found += [
-        growth_along(line, 0, 1, calm, absolute)
-        for line, calm in _first_lines(remembering, relative, absolute)
-    ]
+    if spans or steps >= len(path.time):  # where steps are closer than rows, a line may be shorter
+        found += [
+            growth_along(line, 0, 1, calm, absolute)
+            for line, calm in _first_lines(remembering, relative, absolute)
+        ]
     return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
@@ -171,7 +174,8 @@ def _first_lines(
     if not np.isfinite(slopes).all() or np.linalg.eigvals(slopes).real.max() * (stop - begin) <= 1:
         return
     rate = path.rates(path.time[:1], x)
-    length, before = stop - begin, np.zeros(len(x), dtype=bool)
+    length = stop - begin
+    before = np.zeros(len(x), dtype=bool)
     while length > _SHORTEST * (stop - begin) and not before.all():
         end = x + length * rate
         bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
@@ -205,8 +209,11 @@ def _straight(
         before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
     least = relative * np.abs(x[:, 1:]) + absolute[:, None]
     calm = np.abs((slopes - before) * gaps) <= least
+    growing = calm if path.fed_back is None else calm[path.fed_back]
+    if not growing.any():
+        return []
     every = _longest(calm.all(axis=0), t)
-    some = {edges for own in calm for edges in _longest(own, t)}.difference(every)
+    some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
     chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
     return [
         (int(rows[first]), int(rows[last]), calm[:, first:last].all(axis=1))
@@ -251,8 +258,10 @@ def growth_along(
     rounding = np.abs(slopes) @ np.abs(states / sizes[:, None])
     found = list[Growth]()
     for value, direction in zip(values[growing], left.T[growing], strict=True):
-        push, noise = np.abs(direction @ f), np.abs(direction) @ rounding
-        growing_by, level = float(value.real), _ROUNDINGS * _EPS * noise
+        push = np.abs(direction @ f)
+        noise = np.abs(direction) @ rounding
+        growing_by = float(value.real)
+        level = _ROUNDINGS * _EPS * noise
         exponents = np.minimum(growing_by * (t[rows] - t[first]), _MOST_EXPONENT)
         if 0 < push[0] <= level[0]:  # by then, rounding has grown
             level = np.fmax(level, level[0] * np.exp(exponents))
