@@ -16,7 +16,7 @@ enum { MOST_ENCLOSED = 4096 }; /* parts of a step; what touches its boundary is 
 
 /* Share of its width by which a box is made wider on each side, so that it serves for later steps.
  */
-static const double WIDER = 0.25;
+#define WIDER 0.25
 
 /* Between which values what is positive within a mode, and its rate, stay over a span of time. */
 typedef struct {
