@@ -282,16 +282,19 @@ static inline int run_adaptive(Coupling *self) {
     return DONE;
 }
 
-/* How far outputs have moved in the last step, in their scales, from what was predicted for its
- * end; `moved`: from its begin. Without a past, rates at both ends tell what was to be expected. */
-static inline double jump_of(Coupling *self, double *moved) {
+/* How far outputs have moved from what was predicted for the end of the last step. */
+static inline double jump_of(const Coupling *self) {
     const long long m = self->system->inputs;
-    const double *found = self->found, *predicted = found + 2 * m;
+    return largest(m, self->found, self->found + 2 * m);
+}
+
+/* Whether an output has jumped in the last step, so that a cubic through both sides misleads: the
+ * prediction was no better than none. */
+static inline int jumped(Coupling *self) {
+    const long long m = self->system->inputs;
     as_vector(self, &self->now, self->change);
-    *moved = largest(m, found, self->change);
-    if (self->known) return largest(m, found, predicted);
-    for (long long k = 0; k < m; ++k) self->change[k] += (self->change[m + k] + found[m + k]) / 2;
-    return largest(m, found, self->change);
+    const double change = largest(m, self->found, self->change);
+    return change > 0 && jump_of(self) >= change;
 }
 
 /* Find the inputs that jump as the last step begins, as a small heat capacity off its balance does:
@@ -314,13 +317,14 @@ static inline int find_jumps(Coupling *self, int accepted) {
 }
 
 /* A macro step of a given length; it is repeated without what inputs do that jump as it begins. */
-static inline int given_step(Coupling *self, double *error) {
+static inline int given_step(Coupling *self) {
+    double error = 0;
     const int repeats = self->all_roll_back && iterates(self);
     memset(self->jumps, 0, (size_t)self->system->inputs * sizeof *self->jumps);
-    const int how = macro_step(self, iterates(self), error);
+    const int how = macro_step(self, iterates(self), &error);
     if (!repeats || how > REJECTED || !find_jumps(self, how == ACCEPTED)) return how;
     self->system->how = CALL_FAILED; /* of going back */
-    return restore_all_but(self, NULL) ? BROKEN : macro_step(self, 1, error);
+    return restore_all_but(self, NULL) ? BROKEN : macro_step(self, 1, &error);
 }
 
 static inline int run_fixed(Coupling *self) {
@@ -332,8 +336,7 @@ static inline int run_fixed(Coupling *self) {
         if (same_time(system, end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
-        double error = 0;
-        const int how = given_step(self, &error);
+        const int how = given_step(self);
         if (how == BROKEN) return (int)system->how;
         if (how == REJECTED) return self->reason;
         if (how == EVENT_WITHIN) {
@@ -343,12 +346,9 @@ static inline int run_fixed(Coupling *self) {
         }
         system->jumps += largest(system->inputs, self->jumps, NULL) > 0;
         const double given = largest(system->inputs, self->found, self->w);
-        const int tells = self->known > 0 && !self->switched; /* of the cubic between its ends */
-        system->mismatch = fmax(system->mismatch, fmax(tells ? error : self->mismatch, given));
-        double moved;
-        const double jump = jump_of(self, &moved);
-        const int jumps = moved > 0 && jump >= moved; /* a cubic through both sides misleads */
-        if (jumps) system->mismatch = fmax(system->mismatch, jump);
+        system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
+        const int jumps = jumped(self);
+        if (jumps) system->mismatch = fmax(system->mismatch, jump_of(self));
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         if (jumps) forget_past(self);
