@@ -129,11 +129,13 @@ def _instability(
         if given.agree(half):
             return None
         quarter = again(1 / 4)  # two unstable runs may be equally large
+        differ = half.exceed(quarter) or quarter.exceed(half)
+        if (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter):
+            differ |= not _converge(given, half, quarter)
+            if not differ:  # three may converge by chance
+                differ = not _converge(half, quarter, again(1 / 8))
     except (SolverError, UsageError):  # as where a part has steps of one length
         return _with_twice(given, again) if given.grow else None
-    differ = half.exceed(quarter) or quarter.exceed(half)
-    if (half.exceed(given) or quarter.mismatch >= 1) and not half.agree(quarter):
-        differ |= not _converge(given, half, quarter)
     return (quarter, 1 / 4) if differ else None
 
 
