@@ -87,6 +87,7 @@ def test_page_that_computes_knows_what_can_be_set():
     assert base64.b64decode(live["program"])[:2] == b"\x1f\x8b"
 
 
+@pytest.mark.slow
 def test_parameters_that_are_start_values_are_shown_as_such():
     pytest.importorskip("ziglang")
     facts = facts_of(animate(cosim.load("double_pendulum")).page)
