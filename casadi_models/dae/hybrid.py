@@ -19,7 +19,7 @@ from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, linear_solution, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation
+from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, term_sizes
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
 from casadi_models.dae.variables import Variable
 
@@ -142,14 +142,19 @@ class Hybrid:
     def rounding(self, name: str) -> ca.Function:
         """Return a function of t, x, z, u, p and sizes of x: how far relative rounding moves.
 
-        Its result is the change of each argument, to first order, if all that it depends on changes
-        by its size.
+        Its results are the change of each argument, to first order, if all that it depends on
+        changes by its size; the same with states as small as they are; and sizes of the arguments'
+        time derivatives, beside which one may be but rounding.
         """
         dae, sizes = self.dae, SX.sym("sizes", self.dae.x.numel())
-        given = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
-        moved = ca.vertcat(dae.t, ca.fmax(sizes, ca.fabs(dae.x) / 8), dae.z, dae.u)
-        result = ca.densify(ca.fabs(ca.jacobian(self.arguments, given)) @ ca.fabs(moved))
-        return ca.Function(name, [*dae.arguments, sizes], [result], {"cse": True})
+        given, small = ca.vertcat(dae.t, dae.x, dae.z, dae.u), ca.fabs(dae.x) / 8
+        slopes = ca.fabs(ca.jacobian(self.arguments, given))
+        moved = [
+            ca.densify(slopes @ ca.fabs(ca.vertcat(dae.t, x, dae.z, dae.u)))
+            for x in (ca.fmax(sizes, small), small)
+        ]
+        rates = self.rate_sizes + self._rate_terms()
+        return ca.Function(name, [*dae.arguments, sizes], [*moved, rates], {"cse": True})
 
     @cached_property
     def rate_sizes(self) -> SX:
@@ -165,6 +170,15 @@ class Hybrid:
         sizes = ca.fabs(ca.jacobian(self.arguments, given)) @ rates
         rows = (sizes[i] * (not alone) for i, alone in enumerate(self.of_time))
         return ca.densify(ca.vertcat(SX(0, 1), *rows))
+
+    def _rate_terms(self) -> SX:
+        """Return sizes of the terms that make the arguments' time derivatives, (n, 1).
+
+        Terms may cancel, as forces do at rest. Unknowns change by their nominal values per second.
+        """
+        dae, unknown = self.dae, SX.sym("dz", self.dae.z.numel())
+        terms = term_sizes(self.rates(self.arguments, unknown, SX(dae.u.numel(), 1)))
+        return ca.densify(ca.substitute(terms, unknown, SX([v.nominal for v in dae.algebraics])))
 
     def with_conditions(self) -> Dae:
         """Return the frozen equations, with the arguments of the relations as limits."""

@@ -11,7 +11,7 @@ from typing import TypeVar
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import RELATIONS
+from casadi_models.dae.expressions import RELATIONS, operations
 from casadi_models.dae.frozen import Dae
 
 COMPARISONS = ("<", "<=")
@@ -284,3 +284,43 @@ def replayed(
         else:
             work[to[0]] = operation(code, [work[i] for i in given])
     return rows
+
+
+def term_sizes(column: SX) -> SX:
+    """Return the sizes of the terms that make each row, which may cancel: (n, 1).
+
+    Rounding of a row is relative to them, not to its value. What a function other than a sum, a
+    product or a quotient makes of terms has the size of its value.
+    """
+    given = ca.symvar(column)
+    function = ca.Function("column", given, [ca.densify(column)], {"cse": True})
+    if ca.OP_CALL in operations(column):
+        return ca.fabs(column)
+
+    def operation(code: int, terms: list[tuple[SX, SX]]) -> tuple[SX, SX]:
+        values, sizes = zip(*terms, strict=True)
+        value = applied(code, values)
+        match code:
+            case ca.OP_ADD | ca.OP_SUB:
+                return value, sizes[0] + sizes[1]
+            case ca.OP_NEG:
+                return value, sizes[0]
+            case ca.OP_TWICE:
+                return value, 2 * sizes[0]
+            case ca.OP_SQ:
+                return value, sizes[0] * ca.fabs(values[0])
+            case ca.OP_MUL:
+                return value, ca.fmax(ca.fabs(values[0]) * sizes[1], ca.fabs(values[1]) * sizes[0])
+            case ca.OP_DIV:
+                own, other = sizes[0], ca.fabs(value) * sizes[1]
+                return value, ca.fmax(own, other) / ca.fabs(values[1])
+            case ca.OP_INV:
+                return value, value * value * sizes[0]
+            case ca.OP_IF_ELSE_ZERO:
+                return value, ca.if_else(values[0], sizes[1], 0)
+        return value, ca.fabs(value)
+
+    rows = replayed(
+        function, lambda i, _: (given[i], ca.fabs(given[i])), lambda c: (c, ca.fabs(c)), operation
+    )[0]
+    return ca.densify(ca.vertcat(SX(0, 1), *(size for _, size in rows)))

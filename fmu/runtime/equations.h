@@ -14,7 +14,7 @@
    model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)
    model_relations          t, x, z, u, p, du/dt                  -> values, rates, seconds, sizes
-   model_rounding           t, x, z, u, p, sizes of x             -> changes of values
+   model_rounding           t, x, z, u, p, sizes of x             -> changes (2), sizes of rates
    model_timed              t, x, z, u, p                         -> arguments, rates
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_enclosure          t, length (1), low, high, slowest, fastest, u, p -> low, high
@@ -34,7 +34,8 @@
    The last MODES of u are the modes of the relations: 1 or -1, the sign of its argument, or the
    floor of it; between -1 and 1 while an argument stays 0. model_relations gives their values with
    their first and second time derivatives along a solution, and sizes of the first; model_rounding
-   their changes if all that they depend on changes by its size; model_timed those of time alone,
+   their changes if all that they depend on changes by its size, and if states change by their
+   values, and sizes of the terms of the first derivatives; model_timed those of time alone,
    the others being 0, with partial derivatives. model_bounds gives, for each of the relations that
    are `bounded`, bounds of the argument and of its first and second derivative from t to t +
    length; they are not finite where there are none. model_enclosure gives, for each of those that

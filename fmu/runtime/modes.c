@@ -137,9 +137,11 @@ Status get_insides(Instance *self, double inside[]) {
     const Status status = look_now(self, &seen);
     if (status != OK) return status;
     const Laws laws = laws_of(self);
+    const Point at = present(self);
     Switching *s = &self->state.switching;
     const double *values = self->state.values;
     double all[ROOM(MODES)], rates[ROOM(MODES)];
+    note_slack(&laws, s, &at);
     s->rounded += values[TIME] != s->looked;
     s->looked = values[TIME];
     measure(&laws, s, values + FIRST_MODE, &seen, all, rates);

@@ -231,6 +231,13 @@ SHARED long long cosim_search(Call *call, const MotionRows *rows, double *time) 
 
 #endif
 
+/* What rounding makes of the relations at a point of the motion. */
+SHARED void cosim_note_slack(Call *call) {
+    Kernel self;
+    open_kernel(&self, call);
+    note_slack(&self.laws, self.switching, &self.at);
+}
+
 /* Boundaries that an event has displaced are back where arguments have been inside since. */
 SHARED void cosim_note_inside(Call *call, const double *modes, const double *arguments) {
     Kernel self;

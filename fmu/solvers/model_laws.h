@@ -101,12 +101,13 @@ static inline bool law_decide(void *owner, const Point *at, Decision *found) {
                     found->defects, NULL);
 }
 
-static inline bool law_spread(void *owner, const Point *at, double moved[]) {
+static inline bool law_spread(void *owner, const Point *at, Spread *found) {
     const LawOwner *self = owner;
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return model_laws.rounding && law_inputs(owner, at, u, slopes) &&
-           call_law(owner, model_laws.rounding, &now, self->sizes, moved, NULL, NULL, NULL);
+           call_law(owner, model_laws.rounding, &now, self->sizes, found->sized, found->least,
+                    found->rates, NULL);
 }
 
 static inline bool law_timed(void *owner, const Point *at, double t, double arguments[],

@@ -58,9 +58,12 @@ static bool decide_rules(void *owner, const Point *at, Decision *found) {
     return true;
 }
 
-static bool spread(void *owner, const Point *at, double moved[]) {
-    (void)owner, (void)at;
-    for (int i = 0; i < MODES; i++) moved[i] = 1;
+static bool spread(void *owner, const Point *at, Spread *found) {
+    const Body *body = owner;
+    const double v = fabs(at->x[1]), a = fabs(body->load) + fabs(body->friction);
+    const double rates[] = {a + 1, v + 1, 2 * v + 2, 0};
+    memcpy(found->rates, rates, sizeof rates);
+    for (int i = 0; i < MODES; i++) found->sized[i] = found->least[i] = 1;
     return true;
 }
 

@@ -85,6 +85,34 @@ def test_an_fmu_does_so_in_an_importer(fmi, interface):
     assert_all_at_its_time(found["time"], found["whole"], (found["n"], found["m"]))
 
 
+@cache
+def slow_clock(rate):
+    """Return what passes its boundary at the last instant, at a rate of 1/s."""
+    model = cosim.Model("slow_clock", stop_time=STOP, output_interval=INTERVAL)
+    p = model.parameter("rate", "1/s", rate, "rate")
+    x, n = model.state("x", "1", 0.0, "way"), model.discrete("n", "1", 0.0, "passages")
+    model.derivative(x, p)
+    model.when(x >= STOP * p, {n: n + 1}, name="end of the way")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_slow_state_reaches_its_boundary_at_the_last_instant(solver):
+    for rate in (1e-6, 1e-12, 1e3):
+        run = cosim.simulate(slow_clock(1.0), solver=solver, start_values={"rate": rate})
+        assert run["n"].tolist() == [0, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize(("fmi", "interface"), INTERFACES)
+def test_a_slow_state_does_so_in_an_fmu(fmi, interface):
+    path = cosim.export_fmu(slow_clock(1.0), FOLDER / f"slow_clock_{fmi}.fmu", fmi=fmi)
+    found = fmpy.simulate_fmu(
+        path, fmi_type=interface, stop_time=STOP, output_interval=INTERVAL, output=["n"],
+        start_values={"rate": 1e-6},
+    )  # fmt: skip
+    assert found["n"][-1] == 1
+
+
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8"])  # errors of others pass it
 def test_what_comes_to_rest_at_a_boundary_never_reaches_it(solver):
     """x' = k (1 - x) is 1 but for rounding from 40 / k on."""

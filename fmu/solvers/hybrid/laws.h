@@ -56,6 +56,12 @@ typedef struct {
     double arguments[MODES + 1], rates[MODES + 1], seconds[MODES + 1], sizes[MODES + 1];
 } Seen;
 
+/* What rounding makes of relations, relative to 1: of an argument, with states of their sizes or as
+ * small as they are, and of its first time derivative, by the terms that it is the sum of. */
+typedef struct {
+    double sized[MODES + 1], least[MODES + 1], rates[MODES + 1];
+} Spread;
+
 /* Rules at a point: conditions, what they assign, and how far each constraint is violated. */
 typedef struct {
     double conditions[EVENTS + 1], values[ASSIGNED + 1], defects[DEFECTS + 1];
@@ -79,8 +85,7 @@ typedef struct {
     bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
     bool (*see)(void *owner, const Point *at, Seen *found);
     bool (*decide)(void *owner, const Point *at, Decision *found);
-    /* how far rounding of all that an argument depends on moves it, relative to 1 */
-    bool (*spread)(void *owner, const Point *at, double moved[]);
+    bool (*spread)(void *owner, const Point *at, Spread *found);
     /* arguments of time alone at a time, and their rates; the others are not set */
     bool (*timed)(void *owner, const Point *at, double t, double arguments[], double rates[]);
     /* bounds of such arguments and of two time derivatives, from a time over a length */

@@ -81,11 +81,14 @@ static inline void measure(const Laws *laws, const Switching *s, const double mo
 }
 
 /* Whether only rounding is between an argument and its boundary, be it that it is within its mode
- * yet, and it passes all that rounding makes of it in a time that is none. */
+ * yet, and it passes all that rounding makes of it in a time that is none. What is slow beside the
+ * sizes of states has the rounding of their values, if its rate is no rounding itself. */
 static inline bool is_passing(const Switching *s, double t, int i, double inside, double rate) {
     const double way = -rate * time_scale(s, t), slack = s->slack[i];
-    return s->state[i] != SLIDES && inside <= 2 * slack + located(s) * way &&
-           slack <= SAME_TIME * way;
+    const bool slow = !(slack <= SAME_TIME * way), moves = !slow || -rate > s->faint[i];
+    const double noise = slow ? s->least[i] : slack;
+    return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s) * way &&
+           noise <= SAME_TIME * way;
 }
 
 /* Boundaries are where the author wrote them: what has been inside since its event is free. */
@@ -250,12 +253,16 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
 
+/* Takes what rounding makes of the relations at a point. */
 static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
-    double moved[MODES + 1] = {0};
-    if (!laws->spread(laws->owner, at, moved)) return;
+    Spread found = {.sized = {0}};
+    if (!laws->spread(laws->owner, at, &found)) return;
     /* never 0: what is at its boundary is inside, and a change of the sign shows that it leaves */
-    for (int i = 0; i < MODES; i++)
-        s->slack[i] = DBL_MIN + (isfinite(moved[i]) ? ROUNDING * moved[i] : 0);
+    for (int i = 0; i < MODES; i++) {
+        s->slack[i] = DBL_MIN + (isfinite(found.sized[i]) ? ROUNDING * found.sized[i] : 0);
+        s->least[i] = DBL_MIN + (isfinite(found.least[i]) ? ROUNDING * found.least[i] : 0);
+        s->faint[i] = isfinite(found.rates[i]) ? ROUNDING * found.rates[i] : 0;
+    }
 }
 
 /* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */

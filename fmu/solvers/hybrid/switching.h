@@ -21,6 +21,8 @@ typedef struct {
     double left[MODES + 1];   /* the boundary that is displaced by it: of a floor, a whole number */
     double stays[MODES + 1];  /* rate up to which an argument that is held stays 0 */
     double slack[MODES + 1];  /* by which rounding moves an argument */
+    double least[MODES + 1];  /* the same where states are as small as they are */
+    double faint[MODES + 1];  /* rate up to which one is 0 but for rounding */
     double due[MODES + 1];    /* when a relation of time switches next: a time, NEVER, or JUMPS */
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */

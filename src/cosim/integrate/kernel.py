@@ -259,6 +259,11 @@ class Kernel:
         zeros = frozenset(np.flatnonzero(zero).tolist())
         return Happening(self._ending(), events, zeros, bool(self._call.replan))
 
+    def note_rounding(self, at: Instant) -> None:
+        """Take what rounding makes of the relations at an instant."""
+        self._pass(at.t, at.x, at.z, at.inputs, at.slopes)
+        self._library.cosim_note_slack(ctypes.byref(self._call))
+
     @property
     def left(self) -> Left:
         """What past events have left, for an engine."""

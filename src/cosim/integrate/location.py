@@ -312,6 +312,8 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         return None
     if piece.reached.watched:
         return _crossed(piece)
+    assert piece.kernel is not None
+    piece.kernel.note_rounding(piece.at_end())
     inside, towards = piece.margins(piece.seen)
     inside += piece.noise
     outside = inside[1:] < 0
@@ -321,7 +323,6 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         near = 0.5 if closely else 0.1
         dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
     seen = np.asarray((outside | dips).any(axis=1))
-    assert piece.kernel is not None
     leaving = piece.kernel.leaving(piece.times, inside, towards)[1:]
     leaving[-1] = -1  # what follows may move otherwise
     doubtful = seen | ~piece.stay(inside)
@@ -359,6 +360,7 @@ def located_at_end(piece: Piece) -> Located | None:
     """
     if piece.kernel is None or not piece.system.of_states:
         return None
+    piece.kernel.note_rounding(piece.at_end())
     last = slice(-1, None)
     seen = piece.watched(piece.times[last], piece.x[last], piece.z[last])
     inside, towards = piece.margins(seen)
