@@ -141,7 +141,8 @@ Status get_insides(Instance *self, double inside[]) {
     Switching *s = &self->state.switching;
     const double *values = self->state.values;
     double all[ROOM(MODES)], rates[ROOM(MODES)];
-    note_slack(&laws, s, &at);
+    Spread spread;
+    note_least(&laws, s, &at, &spread);
     s->rounded += values[TIME] != s->looked;
     s->looked = values[TIME];
     measure(&laws, s, values + FIRST_MODE, &seen, all, rates);

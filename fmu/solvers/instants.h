@@ -231,11 +231,12 @@ SHARED long long cosim_search(Call *call, const MotionRows *rows, double *time) 
 
 #endif
 
-/* What rounding makes of the relations at a point of the motion. */
-SHARED void cosim_note_slack(Call *call) {
+/* What rounding makes of slow relations at a point of the motion. */
+SHARED void cosim_note_least(Call *call) {
     Kernel self;
+    Spread found;
     open_kernel(&self, call);
-    note_slack(&self.laws, self.switching, &self.at);
+    note_least(&self.laws, self.switching, &self.at, &found);
 }
 
 /* Boundaries that an event has displaced are back where arguments have been inside since. */

@@ -253,16 +253,24 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
 
-/* Takes what rounding makes of the relations at a point. */
-static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
-    Spread found = {.sized = {0}};
-    if (!laws->spread(laws->owner, at, &found)) return;
-    /* never 0: what is at its boundary is inside, and a change of the sign shows that it leaves */
+/* Takes what rounding makes of slow relations at a point. */
+static inline bool note_least(const Laws *laws, Switching *s, const Point *at, Spread *found) {
+    *found = (Spread){.sized = {0}};
+    if (!laws->spread(laws->owner, at, found)) return false;
     for (int i = 0; i < MODES; i++) {
-        s->slack[i] = DBL_MIN + (isfinite(found.sized[i]) ? ROUNDING * found.sized[i] : 0);
-        s->least[i] = DBL_MIN + (isfinite(found.least[i]) ? ROUNDING * found.least[i] : 0);
-        s->faint[i] = isfinite(found.rates[i]) ? ROUNDING * found.rates[i] : 0;
+        s->least[i] = DBL_MIN + (isfinite(found->least[i]) ? ROUNDING * found->least[i] : 0);
+        s->faint[i] = isfinite(found->rates[i]) ? ROUNDING * found->rates[i] : 0;
     }
+    return true;
+}
+
+/* Takes what rounding makes of the relations at a point from which on it counts. */
+static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
+    Spread found;
+    if (!note_least(laws, s, at, &found)) return;
+    /* never 0: what is at its boundary is inside, and a change of the sign shows that it leaves */
+    for (int i = 0; i < MODES; i++)
+        s->slack[i] = DBL_MIN + (isfinite(found.sized[i]) ? ROUNDING * found.sized[i] : 0);
 }
 
 /* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */

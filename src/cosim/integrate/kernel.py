@@ -260,9 +260,9 @@ class Kernel:
         return Happening(self._ending(), events, zeros, bool(self._call.replan))
 
     def note_rounding(self, at: Instant) -> None:
-        """Take what rounding makes of the relations at an instant."""
+        """Take what rounding makes of slow relations at an instant."""
         self._pass(at.t, at.x, at.z, at.inputs, at.slopes)
-        self._library.cosim_note_slack(ctypes.byref(self._call))
+        self._library.cosim_note_least(ctypes.byref(self._call))
 
     @property
     def left(self) -> Left:

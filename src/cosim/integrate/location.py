@@ -313,7 +313,6 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
     if piece.reached.watched:
         return _crossed(piece)
     assert piece.kernel is not None
-    piece.kernel.note_rounding(piece.at_end())
     inside, towards = piece.margins(piece.seen)
     inside += piece.noise
     outside = inside[1:] < 0
