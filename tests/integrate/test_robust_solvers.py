@@ -1,5 +1,6 @@
 """Solvers where their defaults gave up: long spans, tight tolerances of DAEs."""
 
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -60,10 +61,9 @@ def test_idas_goes_on_without_errors_of_algebraic_unknowns_and_says_so():
     run = simulate(plain, solver="idas", absolute_tolerance=1e-15, **settings)
     assert simulate(dae, solver="idas", **settings).complete  # in nominal values there is no need
     assert run.complete
-    assert (
-        "without the algebraic unknowns in its error test; with them: IDA_ERR_FAIL"
-        in run.stats["note"]
-    )
+    # rounding decides how IDAS fails with them
+    said = r"without the algebraic unknowns in its error test; with them: IDA_(ERR_FAIL|TOO_MUCH)"
+    assert re.search(said, run.stats["note"])
     other = simulate(dae, solver="dop853", **settings)
     for name in ("phi", "delta", "fz_P"):
         apart = np.abs(run[name] - other[name]).max() / run.column(name).nominal

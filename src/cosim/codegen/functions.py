@@ -40,7 +40,13 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     for integration and reduces the code to between a third and a half.
     """
     known = [sensitivities, True, True, sensitivities, sensitivities]
-    return _equations_function(dae, dae.p, dae.ode, dae.balanced, known)
+    return _equations_function(dae, dae.p, dae.ode, dae.alg, known)
+
+
+@cached_per_thread(16)
+def balanced_equations(dae: Dae) -> ca.Function:
+    """Return the same with balanced algebraic equations and all derivatives."""
+    return _equations_function(dae, dae.p, dae.ode, dae.balanced, 5 * [True])
 
 
 @cached_per_thread(16)

@@ -18,7 +18,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.expressions import linear_solution
 from casadi_models.dae.variational import variational
 from cosim.arrays import Vector
-from cosim.codegen.functions import CALL, equations, symbols_like
+from cosim.codegen.functions import CALL, balanced_equations, symbols_like
 from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.runge_kutta.explicit_library import (
@@ -64,7 +64,7 @@ def variational_rhs(dae: Dae) -> ca.Function:
     every, guess = MX.sym("x", nx * (1 + nq)), MX.sym("z", nz * (1 + nq))
     x, slopes = every[:nx], ca.reshape(every[nx:], nx, nq)
     z = algebraic_function(dae)(t, x, guess[:nz], u, p)
-    function = equations(dae)
+    function = balanced_equations(dae)
     ode, alg = function(t, x, z, u, p)
     by = function.jacobian()(t, x, z, u, p, ode, alg)
     ode_by, alg_by = dict(zip(CALL, by[:5], strict=True)), dict(zip(CALL, by[5:], strict=True))
