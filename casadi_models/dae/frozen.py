@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cached_property
 from math import inf, log
 from typing import Any
 
@@ -146,7 +147,7 @@ class Dae:
         """`[t, x, z, u, p]`: the arguments of functions that are made of its expressions."""
         return [self.t, self.x, self.z, self.u, self.p]
 
-    @property
+    @cached_property
     def balanced(self) -> SX:
         """The residual of z, each row over the size of its coefficients, (nz, 1).
 
@@ -154,6 +155,8 @@ class Dae:
         sizes, as those of forces beside lengths, cost a linear solution its digits, but others
         stay as they are, and two equal ones cancel exactly where the equations lose rank.
         """
+        if not self.algebraics:
+            return self.alg
         sizes = ca.sum2(ca.fabs(ca.densify(ca.jacobian(self.alg, self.z))))
         others = (*self.algebraics, *self.inputs)
         start = ca.DM([0.0, *self.x_start, *(variable.start or 0.0 for variable in others)])

@@ -14,8 +14,7 @@
 static const double LOCATED = 8 * DBL_EPSILON; /* relative distance of located times that are one */
 enum { MOST_ENCLOSED = 4096 }; /* parts of a step; what touches its boundary is never proven */
 
-/* Share of its width by which a box is made wider on each side, so that it serves for later steps.
- */
+/* Share of its width by which a box grows on each side, so that it serves for later steps. */
 #define WIDER 0.25
 
 /* Between which values what is positive within a mode, and its rate, stay over a span of time. */

@@ -226,11 +226,11 @@ def growing_starts(
     own, which = np.unique(slopes.reshape(len(found), -1), axis=0, return_inverse=True)
     values = np.linalg.eigvals(own.reshape(-1, *slopes.shape[1:]))
     fastest = values.real.max(axis=1)[which.ravel()]
+    every = np.ones(len(x), dtype=bool)
     for i in np.flatnonzero(fastest * (straight - begin) > 1):
         at = np.array([begin, straight[i], end])
         line = x[:, [i]] + rate[:, [i]] * (at - begin)
         motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], Counts())
         path = _path(motion, sizes[:, i], p[:, i])
-        every = np.ones(len(x), dtype=bool)
         found[i] = growth_along(path, 0, 1, every, absolute) is not None
     return found

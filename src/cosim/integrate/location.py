@@ -312,7 +312,6 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         return None
     if piece.reached.watched:
         return _crossed(piece)
-    assert piece.kernel is not None
     inside, towards = piece.margins(piece.seen)
     inside += piece.noise
     outside = inside[1:] < 0
@@ -322,6 +321,7 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         near = 0.5 if closely else 0.1
         dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
     seen = np.asarray((outside | dips).any(axis=1))
+    assert piece.kernel is not None
     leaving = piece.kernel.leaving(piece.times, inside, towards)[1:]
     leaving[-1] = -1  # what follows may move otherwise
     doubtful = seen | ~piece.stay(inside)

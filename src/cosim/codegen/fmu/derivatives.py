@@ -120,9 +120,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
-    solved = MX(0, 1)
-    if dae.algebraics:
-        solved = linear_solution(matrix, right, transposed=True)
+    solved = linear_solution(matrix, right, transposed=True) if dae.algebraics else MX(0, 1)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
 
 
