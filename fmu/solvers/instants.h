@@ -239,6 +239,13 @@ SHARED void cosim_note_least(Call *call) {
     note_least(&self.laws, self.switching, &self.at, &found);
 }
 
+/* A solver that knows no events has taken some steps. */
+SHARED void cosim_note_steps(Call *call, double steps) {
+    Kernel self;
+    open_kernel(&self, call);
+    self.switching->rounded += steps * LOCATED / DBL_EPSILON;
+}
+
 /* Boundaries that an event has displaced are back where arguments have been inside since. */
 SHARED void cosim_note_inside(Call *call, const double *modes, const double *arguments) {
     Kernel self;

@@ -264,6 +264,10 @@ class Kernel:
         self._pass(at.t, at.x, at.z, at.inputs, at.slopes)
         self._library.cosim_note_least(ctypes.byref(self._call))
 
+    def note_steps(self, steps: int) -> None:
+        """Take that a solver which knows no events has rounded time in some steps."""
+        self._library.cosim_note_steps(ctypes.byref(self._call), _DOUBLE(steps))
+
     @property
     def left(self) -> Left:
         """What past events have left, for an engine."""

@@ -122,6 +122,8 @@ class Piece:
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
+            if self.kernel is not None:
+                self.kernel.note_steps(found.counts.steps or 0)
         return found
 
     def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
