@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "evaluation.h"
 #include "events.h"
 #include "logging.h"
@@ -155,6 +156,7 @@ static Status set_values(Instance *self, const Reference references[], size_t co
     }
     if (!retuned) return OK;
     self->state.retuned = true;
+    renew_constants(self);
 #if HAS_EVENTS
     self->state.switching.next = NOT_PLANNED;
 #endif

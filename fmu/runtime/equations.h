@@ -2,16 +2,17 @@
 
    Arguments and results, each a vector, in the order of `arg` and `res`:
 
+   model_constants          p                                     -> c
    model_start              t, x_guess, u, p                      -> x, defect (1)
    model_start_directional  t, x, u, p, seed_x, seed_u, seed_p, seed_t -> sens_x
-   model_algebraic          t, x, z_guess, u, p                   -> z
-   model_ode                t, x, z, u, p                         -> dx
-   model_outputs            t, x, z, u, p                         -> y, margins
+   model_algebraic          t, x, z_guess, u, c                   -> z
+   model_ode                t, x, z, u, c                         -> dx
+   model_outputs            t, x, z, u, c                         -> y, margins
    model_directional        t, x, z, u, p, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
    model_adjoint            t, x, z, u, p, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
    model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
-   model_rank               t, x, z, u, p                         -> distance (1)
-   model_rank_rate          t, x, z, u, p                         -> its time derivative (1)
+   model_rank               t, x, z, u, c                         -> distance (1)
+   model_rank_rate          t, x, z, u, c                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)
    model_relations          t, x, z, u, p, du/dt                  -> values, rates, seconds, sizes
    model_rounding           t, x, z, u, p, sizes of x             -> changes (2), sizes of rates
@@ -19,7 +20,10 @@
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_enclosure          t, length (1), low, high, slowest, fastest, u, p -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
-   model_step               x, z_guess, (t, h, tolerance, u, du, p) -> x_end, z_end
+   model_step               x, z_guess, (t, h, tolerance, u, du, c) -> x_end, z_end
+
+   The constants c are the parameters and, after them, what depends on parameters alone: they are
+   passed for p, too.
 
    The start derivative is of x as function of t, the exact starts, u and p: calculated entries of
    seed_x have no influence. model_directional and model_adjoint see z as function of the rest, and
@@ -58,14 +62,14 @@ typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, lon
 /* Counts of arguments and results that the runtime passes at most. */
 enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
 
-static Equation model_start, model_start_directional;
+static Equation model_constants, model_start, model_start_directional;
 static Equation model_algebraic, model_ode, model_outputs;
 static Equation model_directional, model_adjoint, model_jacobian, model_step;
 static Equation model_rank, model_rank_rate, model_project;
 static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
 static Equation model_enclosure, model_limits, model_limit_rates;
 
-static WorkSize model_start_work, model_start_directional_work;
+static WorkSize model_constants_work, model_start_work, model_start_directional_work;
 static WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
 static WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
 static WorkSize model_rank_work, model_rank_rate_work, model_project_work;

@@ -50,7 +50,7 @@ static Status settle_start(Instance *self) {
     self->arg[0] = values + TIME;
     self->arg[1] = guess;
     self->arg[2] = values + FIRST_INPUT;
-    self->arg[3] = values + FIRST_PARAMETER;
+    self->arg[3] = self->constants;
     self->res[0] = x;
     self->res[1] = &defect;
     const int failed = model_start(self->arg, self->res, self->iw, self->w, 0);
@@ -64,7 +64,7 @@ static Status settle_start(Instance *self) {
     return start_modes(self);
 }
 
-/* Pass the common arguments of the equations, t, x, z, u, p: those of a point, or the present ones.
+/* Pass the common arguments of the equations, t, x, z, u, c: those of a point, or the present ones.
  */
 static void pass_point(Instance *self, const double *t, const double *x, const double *z,
                        const double *u) {
@@ -72,7 +72,7 @@ static void pass_point(Instance *self, const double *t, const double *x, const d
     self->arg[1] = x;
     self->arg[2] = z;
     self->arg[3] = u;
-    self->arg[4] = self->state.values + FIRST_PARAMETER;
+    self->arg[4] = self->constants;
 }
 
 static void pass_values(Instance *self) {

@@ -6,6 +6,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "equations.h"
 #include "input_motion.h"
 #include "logging.h"
@@ -14,10 +15,12 @@
 #define INSTANCE_MAGIC UINT64_C(0x636f73696d464d55)
 
 static WorkSize *const work_sizes[] = {
-    model_start_work,       model_algebraic_work,         model_ode_work,
+    model_constants_work,   model_start_work,
+    model_algebraic_work,   model_ode_work,
     model_outputs_work,
 #if !NO_DERIVATIVES
-    model_directional_work, model_start_directional_work, model_jacobian_work,
+    model_directional_work, model_start_directional_work,
+    model_jacobian_work,
 #endif
 #if HAS_ADJOINT
     model_adjoint_work,
@@ -26,11 +29,12 @@ static WorkSize *const work_sizes[] = {
     model_step_work,
 #endif
 #if HAS_RANK
-    model_rank_work,        model_rank_rate_work,         model_project_work,
+    model_rank_work,        model_rank_rate_work,
+    model_project_work,
 #endif
 #if HAS_EVENTS
-    model_relations_work,   model_rounding_work,          model_timed_work,
-    model_conditions_work,
+    model_relations_work,   model_rounding_work,
+    model_timed_work,       model_conditions_work,
 #endif
 #if BOUNDED > 0
     model_bounds_work,
@@ -76,6 +80,7 @@ static void reset(Instance *self) {
     self->state.interface = interface;
     self->state.mode = INSTANTIATED;
     self->state.stale = EVERYTHING;
+    renew_constants(self);
 }
 
 static bool is_blank(const char *text) {
@@ -128,10 +133,10 @@ static Instance *create(const Host *host, const char *function, const char *name
     self->state.interface = interface;
 #if HAS_EVENTS
     for (int i = 0; i < NX; i++) self->sizes[i] = variables[FIRST_STATE + i].nominal;
-    const double *p = self->state.values + FIRST_PARAMETER;
-    self->laws = (LawOwner){p,       self->sizes,     NULL, self->arg, self->res, self->iw,
-                            self->w, input_slopes_at, self};
+    self->laws = (LawOwner){self->constants, self->sizes,     NULL, self->arg, self->res, self->iw,
+                            self->w,         input_slopes_at, self};
 #endif
+    self->constants[0] = NAN; /* those of no parameters */
     reset(self);
     return self;
 }

@@ -25,7 +25,7 @@ enum { MOST_PARTS = 50, MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 static bool advance(Instance *self, double end) {
     double *values = self->state.values;
     const double length = end - values[TIME];
-    double q[3 + (1 + MOST_INPUT_ORDER) * NU + NP], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0};
+    double q[3 + (1 + MOST_INPUT_ORDER) * NU + NC], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0};
     double *next = q + 3, factor = 1;
     q[0] = values[TIME];
     q[1] = length;
@@ -35,7 +35,7 @@ static bool advance(Instance *self, double end) {
         factor *= length / order;
         for (int i = 0; i < NU; i++) *next++ = self->state.motion[order - 1][i] * factor;
     }
-    memcpy(next, values + FIRST_PARAMETER, NP * sizeof *values);
+    memcpy(next, self->constants, NC * sizeof *self->constants);
     self->arg[0] = values + FIRST_STATE;
     self->arg[1] = values + FIRST_ALGEBRAIC;
     self->arg[2] = q;

@@ -72,9 +72,8 @@ static void enclose_part(const Margin *self, double begin, double end, Part *fou
 
 static void call_bounds(Instance *fmu, const Part *part, Equation *bounds, double low[],
                         double high[]) {
-    const double *given[] = {
-        &part->begin,  &part->length, part->low, part->high,
-        part->slowest, part->fastest, part->u,   fmu->state.values + FIRST_PARAMETER};
+    const double *given[] = {&part->begin,  &part->length, part->low, part->high,
+                             part->slowest, part->fastest, part->u,   fmu->constants};
     memcpy(fmu->arg, given, sizeof given);
     fmu->res[0] = low;
     fmu->res[1] = high;

@@ -33,7 +33,7 @@ bool restore(Instance *self, double t, const double u[], double x[]) {
         self->arg[0] = &t;
         self->arg[1] = x;
         self->arg[2] = u;
-        self->arg[3] = self->state.values + FIRST_PARAMETER;
+        self->arg[3] = self->constants;
         self->res[0] = moved;
         self->res[1] = &change;
         if (model_project(self->arg, self->res, self->iw, self->w, 0) || !isfinite(change))
@@ -50,7 +50,7 @@ static void pass_present(Instance *self, const double *t, const double *x) {
     self->arg[1] = x;
     self->arg[2] = values + FIRST_ALGEBRAIC;
     self->arg[3] = values + FIRST_INPUT;
-    self->arg[4] = values + FIRST_PARAMETER;
+    self->arg[4] = self->constants;
 }
 
 static Look look(Instance *self) {

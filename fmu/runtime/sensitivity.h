@@ -97,7 +97,7 @@ static Status spread_to_starts(Instance *self, double seed[]) {
     self->arg[0] = values + TIME;
     self->arg[1] = values + FIRST_STATE;
     self->arg[2] = values + FIRST_INPUT;
-    self->arg[3] = values + FIRST_PARAMETER;
+    self->arg[3] = self->constants;
     self->arg[4] = seed + FIRST_STATE;
     self->arg[5] = seed + FIRST_INPUT;
     self->arg[6] = seed + FIRST_PARAMETER;

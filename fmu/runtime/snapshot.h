@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "evaluation.h"
 #include "logging.h"
 #include "memory.h"
@@ -140,6 +141,7 @@ static Status restore_snapshot(Instance *self, const void *snapshot) {
     const char *reason = fault_of(self, snapshot);
     if (reason) return reject(self, reason);
     self->state = ((const Snapshot *)snapshot)->state;
+    renew_constants(self);
     return OK;
 }
 

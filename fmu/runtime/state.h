@@ -171,6 +171,7 @@ struct Instance {
     double **res;
     long long *iw;
     double *w;
+    double constants[ROOM(NC)]; /* the parameters, and what depends on parameters alone */
 #if BOUNDED_LIMITS > 0
     Proven proven; /* saves bounds, and changes no result */
 #endif

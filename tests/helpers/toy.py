@@ -134,6 +134,7 @@ def write(
         f"#define N_LIMITS {model.margins.numel()}",
         f"#define HAS_VALID {int(valid)}",
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
+        f"#define NC {2 * counts['PARAMETER']}",
     ]
     (folder / "model.h").write_text("\n".join(header) + "\n")
     (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
@@ -172,8 +173,17 @@ def _symbols(nx: int, nz: int, nu: int, np: int) -> tuple[SX, SX, SX, SX, SX]:
     return SX.sym("t"), x, z, u, p
 
 
+def _constants(m: Equations) -> tuple[Equations, SX]:
+    """Return the equations with a copy of the parameters in their place, and both as constants."""
+    copies = SX.sym("copy", m.p.numel())
+    laws = {name: ca.substitute(getattr(m, name), m.p, copies) for name in ("ode", "alg", "y")}
+    return replace(m, **laws), ca.vertcat(m.p, copies)
+
+
 def _contract(m: Equations, most_steps: int) -> list[ca.Function]:
     known = [m.t, m.x, m.z, m.u, m.p]
+    of_constants, c = _constants(m)
+    known_constants = [*known[:-1], c]
     solved = m.z
     if m.z.numel():
         constant = ca.substitute(m.alg, m.z, SX.zeros(m.z.shape))
@@ -187,15 +197,17 @@ def _contract(m: Equations, most_steps: int) -> list[ca.Function]:
     forward = [ca.jtimes(k, inputs, ca.vertcat(*along)) for k in outputs]
     backward = ca.jtimes(ca.vertcat(*outputs), inputs, ca.vertcat(*weights), True)
     sizes = [0, *(int(n) for n in _cumulated(m.x, m.u, m.p, m.t))]
+    solved_with = ca.substitute(solved, m.p, c[m.p.numel() :])
     return [
+        ca.Function("model_constants", [m.p], [ca.vertcat(m.p, m.p)]),
         *_start_functions(m),
-        ca.Function("model_algebraic", known, [solved]),
-        ca.Function("model_ode", known, [m.ode]),
-        ca.Function("model_outputs", known, [m.y, m.margins]),
+        ca.Function("model_algebraic", known_constants, [solved_with]),
+        ca.Function("model_ode", known_constants, [of_constants.ode]),
+        ca.Function("model_outputs", known_constants, [of_constants.y, m.margins]),
         ca.Function("model_directional", [*known, *along], forward),
         ca.Function("model_adjoint", [*known, *weights], ca.vertsplit(backward, sizes)),
         ca.Function("model_jacobian", known, [_dense(ode, m), _dense(solved, m)]),
-        _step_function(m, most_steps),
+        _step_function(of_constants, c, most_steps),
     ]
 
 
@@ -243,14 +255,14 @@ def _start_functions(m: Equations) -> list[ca.Function]:
     ]
 
 
-def _step_function(m: Equations, most_steps: int) -> ca.Function:
-    """Integrate over s in [0, 1]; q = (t, h, tolerance, u0, u1, u2, u3, p)."""
-    nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 4 * m.u.numel() + m.p.numel())
-    t, h, p = q[0], q[1], q[3 + 4 * nu :]
+def _step_function(m: Equations, constants: SX, most_steps: int) -> ca.Function:
+    """Integrate over s in [0, 1]; q = (t, h, tolerance, u0, u1, u2, u3, c)."""
+    nu, s, q = m.u.numel(), SX.sym("s"), SX.sym("q", 3 + 4 * m.u.numel() + constants.numel())
+    t, h, c = q[0], q[1], q[3 + 4 * nu :]
     u0, u1, u2, u3 = (q[3 + k * nu : 3 + (k + 1) * nu] for k in range(4))
     u = u0 + s * (u1 + s * (u2 + s * u3))
     ode, alg = ca.substitute(
-        [m.ode, m.alg], [m.t, m.u, m.p], [t + s * h, u, p]
+        [m.ode, m.alg], [m.t, m.u, constants], [t + s * h, u, c]
     )  # fmt: skip
     problem = {"t": s, "x": m.x, "z": m.z, "p": q, "ode": h * ode, "alg": alg}
     method = "rosenbrock" if m.z.numel() else "erk"

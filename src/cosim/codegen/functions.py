@@ -1,7 +1,8 @@
 """CasADi functions of a `Dae`: equations, outputs, and their Jacobians."""
 
-from collections.abc import Sequence
-from itertools import compress
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, compress
 from typing import Any, Protocol
 
 import casadi as ca
@@ -32,6 +33,32 @@ class Series(Protocol):
         """One column per input, (m, len(names))."""
 
 
+@dataclass(frozen=True, eq=False)
+class Laws:
+    """The equations of a model with constants for its parameters.
+
+    Attributes:
+        dae: The model.
+        c: Symbols of the constants: the parameters, and after them all expressions of the laws
+            that depend on parameters alone.
+        ode, alg: dx/dt and the balanced residual of z, columns of t, x, z, u and c.
+        others: Further columns, by name, that share the constants.
+        constants: `constants(p) -> c`.
+    """
+
+    dae: Dae
+    c: SX
+    ode: SX
+    alg: SX
+    others: Mapping[str, SX]
+    constants: ca.Function
+
+    @property
+    def arguments(self) -> list[SX]:
+        """`[t, x, z, u, c]`, the arguments of functions that are made of its columns."""
+        return [*self.dae.arguments[:-1], self.c]
+
+
 @cached_per_thread(16)
 def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     """Return `dae(t, x, z, u, p) -> (ode, alg)`.
@@ -40,19 +67,13 @@ def equations(dae: Dae, *, sensitivities: bool = True) -> ca.Function:
     for integration and reduces the code to between a third and a half.
     """
     known = [sensitivities, True, True, sensitivities, sensitivities]
-    return _equations_function(dae, dae.p, dae.ode, dae.alg, known)
+    return _equations_function(dae.arguments, dae.ode, dae.alg, known)
 
 
 @cached_per_thread(16)
 def balanced_equations(dae: Dae) -> ca.Function:
     """Return the same with balanced algebraic equations and all derivatives."""
-    return _equations_function(dae, dae.p, dae.ode, dae.balanced, 5 * [True])
-
-
-@cached_per_thread(16)
-def driven_equations(dae: Dae) -> ca.Function:
-    """Return `dae(t, x, z, u, p) -> (ode, alg)` with all derivatives except those with p."""
-    return _equations_function(dae, dae.p, dae.ode, dae.balanced, [True, True, True, True, False])
+    return _equations_function(dae.arguments, dae.ode, dae.balanced, 5 * [True])
 
 
 @cached_per_thread(16)
@@ -62,23 +83,33 @@ def prepared(dae: Dae, *, sensitivities: bool = False) -> tuple[ca.Function, ca.
     c contains the parameters and all expressions that depend on them alone, which are calculated
     once instead of in every step. Without `sensitivities`, `dae` has no derivatives with c.
     """
-    rows, c, constants = hoisted_laws(dae)
-    nx = dae.x.numel()
+    laws = hoisted_laws(dae)
+    return driven_equations(laws, sensitivities=sensitivities), laws.constants
+
+
+def driven_equations(laws: Laws, *, sensitivities: bool = False) -> ca.Function:
+    """Return `dae(t, x, z, u, c) -> (ode, alg)` with derivatives with t, x, z and u."""
     rates = [True, True, True, True, sensitivities]
-    return _equations_function(dae, c, rows[:nx], rows[nx:], rates), constants
+    return _equations_function(laws.arguments, laws.ode, laws.alg, rates)
 
 
 @cached_per_thread(16)
-def hoisted_laws(dae: Dae) -> tuple[SX, SX, ca.Function]:
-    """Return dx/dt and the residual of z by `hoisted`."""
-    return hoisted(dae, ca.vertcat(dae.ode, dae.balanced))
+def hoisted_laws(dae: Dae) -> Laws:
+    """Return the equations with constants that are calculated once instead of in every step."""
+    return hoisted(dae)
 
 
-def hoisted(dae: Dae, rows: SX) -> tuple[SX, SX, ca.Function]:
-    """Return a column as an expression of c, the symbols c, and the function `p -> c`.
+def hoisted(dae: Dae, **others: SX) -> Laws:
+    """Return the same with further columns, whose expressions of parameters are constants, too."""
+    columns = (dae.ode, dae.balanced, *others.values())
+    rows, c, constants = hoisted_rows(dae, ca.vertcat(*columns))
+    ends = accumulate((column.numel() for column in columns), initial=0)
+    ode, alg, *rest = ca.vertsplit(rows, [*ends])
+    return Laws(dae, c, ode, alg, dict(zip(others, rest, strict=True)), constants)
 
-    c contains the parameters and all expressions of the column that depend on them alone.
-    """
+
+def hoisted_rows(dae: Dae, rows: SX) -> tuple[SX, SX, ca.Function]:
+    """Return a column as an expression of constants c, the symbols c, and `constants(p) -> c`."""
     rows, symbols, values = ca.extract_parametric(rows, dae.p)
     c = ca.vertcat(SX(0, 1), dae.p, *symbols)
     known = ca.densify(ca.vertcat(dae.p, *values))
@@ -125,7 +156,7 @@ def dense(function: ca.Function) -> ca.Function:
 
 
 def _equations_function(
-    dae: Dae, p: ca.SX, ode: ca.SX, alg: ca.SX, differentiable: list[bool]
+    symbols: list[SX], ode: SX, alg: SX, differentiable: list[bool]
 ) -> ca.Function:
     """Return the equations as a function.
 
@@ -133,7 +164,6 @@ def _equations_function(
     differentiable. Such an argument must not be differentiated.
     """
     options: dict[str, Any] = {"cse": True, "is_diff_in": differentiable}
-    symbols = [dae.t, dae.x, dae.z, dae.u, p]
     if not all(differentiable):
         options |= _jacobian_in_a_loop(symbols, (ode, alg), differentiable)
     return ca.Function("dae", symbols, [ode, alg], CALL, ["ode", "alg"], options)

@@ -7,7 +7,7 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from casadi_models.dae.expressions import linear_solution
-from cosim.codegen.functions import CALL, hoisted_laws, symbols_like
+from cosim.codegen.functions import CALL, Laws, symbols_like
 from cosim.memo import cached_per_thread
 
 KNOWN = ["t", "x", "u", "p"]
@@ -57,11 +57,9 @@ def algebraic_function(dae: Dae) -> ca.Function:
     return _algebraic(dae, dae.balanced, dae.p)
 
 
-@cached_per_thread(16)
-def prepared_algebraic(dae: Dae) -> ca.Function:
-    """Return `model_algebraic(t, x, z, u, c) -> z`, with the constants c of `prepared`."""
-    rows, c, _ = hoisted_laws(dae)
-    return _algebraic(dae, rows[dae.x.numel() :], c)
+def prepared_algebraic(laws: Laws) -> ca.Function:
+    """Return `model_algebraic(t, x, z, u, c) -> z`, with constants c for the parameters."""
+    return _algebraic(laws.dae, laws.alg, laws.c)
 
 
 def _algebraic(dae: Dae, residual: SX, p: SX) -> ca.Function:

@@ -10,7 +10,7 @@ import pytest
 import cosim
 from cosim.codegen import functions as directional_jacobian
 from cosim.codegen.fmu import equations
-from cosim.codegen.fmu.equations import generated_code, model_functions, solver_step
+from cosim.codegen.fmu.equations import fmu_laws, generated_code, model_functions, solver_step
 
 
 @pytest.mark.parametrize("loop", [False, True])
@@ -21,11 +21,13 @@ def test_step_that_calls_the_equations_is_the_one_that_writes_them_out(loop, mon
     system = {"t": t, "x": x, "z": z, "u": u, "p": p, "ode": u * ca.sin(3 * t) - p * x * z}
     system["alg"] = z**3 + z - x - u
     dae = cosim.from_casadi(system, {"x": 1.0, "p": 2.0}, nominals={"x": 8.0})
-    arguments = [1.0, 0.7, [0.2, 0.5, 1e-9, 1.0, 0.3, -0.2, 0.1, 2.0]]
+    laws = fmu_laws(dae, None)
+    c = np.array(laws.constants(2.0)).ravel()
+    arguments = [1.0, 0.7, [0.2, 0.5, 1e-9, 1.0, 0.3, -0.2, 0.1, *c]]
     found = []
     for large in (False, True):
         monkeypatch.setattr(equations, "is_large", lambda dae, large=large: large)
-        found.append(np.hstack([np.array(r) for r in solver_step(dae, "rosenbrock")(*arguments)]))
+        found.append(np.hstack([np.array(r) for r in solver_step(laws, "rosenbrock")(*arguments)]))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
 
 
@@ -34,8 +36,9 @@ def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
     x = ca.SX.sym("x", n)
     weights = ca.DM(np.random.default_rng(0).normal(size=(n, n)))
     dae = cosim.from_casadi({"x": x, "ode": -ca.sin(weights @ ca.sin(x)) * x}, {"x": 0.1})
-    functions = model_functions(dae, None, derivatives=True, adjoint=False)
-    code = generated_code(dae, "m", functions, "rosenbrock", has_events=False)
+    laws = fmu_laws(dae, None)
+    functions = model_functions(laws, None, derivatives=True, adjoint=False)
+    code = generated_code(laws, "m", functions, "rosenbrock", has_events=False)
     jacobian, laws = (
         re.search(rf"/\* {name}:.*?\n}}\n", code, re.DOTALL)[0] for name in ("jacF", "model_ode")
     )

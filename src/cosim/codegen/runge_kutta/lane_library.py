@@ -16,7 +16,7 @@ from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import generated
 from cosim.codegen.compiler import cached_library, processor_abilities
-from cosim.codegen.functions import hoisted
+from cosim.codegen.functions import hoisted_rows
 from cosim.codegen.initialization import start_function
 from cosim.codegen.runge_kutta.lanes import LANE_OPERATIONS, vector_text
 from cosim.codegen.runge_kutta.stage_sums import LANES, NAMES, dop853_sums
@@ -85,7 +85,7 @@ def lane_outputs(dae: Dae, lanes: int, *, limits_only: bool = False) -> ctypes.C
     """
     shown = ca.SX(0, 1) if limits_only else dae.outputs
     rows = ca.vertcat(ca.SX(0, 1), shown, dae.margins)
-    every, c, constants = hoisted(dae, rows)
+    every, c, constants = hoisted_rows(dae, rows)
     observe = ca.Function("f", [dae.t, dae.x, dae.u, c], [ca.densify(every)], _CSE)
     sizes = {"LANES": lanes, "NX": dae.x.numel(), "NU": dae.u.numel(), "NP": dae.p.numel()}
     sizes |= {"NC": c.numel(), "NY": shown.numel(), "NL": len(dae.limits)}
@@ -121,7 +121,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     needed = sorted(set(columns))
     limits = _lane_bounds(dae, needed)
     rows = ca.vertcat(dae.ode, observed, limits.low, *limits.rates)
-    every, c, constants = hoisted(dae, rows)
+    every, c, constants = hoisted_rows(dae, rows)
     nx, ny, nb = dae.x.numel(), recorded.numel(), limits.low.numel()
     read = dae.x[needed] if needed else ca.SX(0, 1)
     functions = {

@@ -37,6 +37,7 @@ def model_header(plan: Plan, guid: str) -> str:
 #define NZ {len(dae.algebraics)}
 #define NU {len(dae.inputs)}
 #define NP {len(dae.parameters)}
+#define NC {plan.laws.c.numel()}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
 #define BOUNDED_LIMITS {len(bounds.relations)}
@@ -122,7 +123,7 @@ def _texts(name: str, texts: Sequence[str]) -> str:
 
 # Start values and derivatives are most of the code, and no solver evaluates them in every step.
 _SMALL_FUNCTION = re.compile(
-    r"^(/\* (?:along|back|blocks|start)\w*:.*\n)(?=static int )", re.MULTILINE
+    r"^(/\* (?:along|back|blocks|constants|start)\w*:.*\n)(?=static int )", re.MULTILINE
 )
 
 
@@ -139,7 +140,7 @@ def equations_c(plan: Plan) -> str:
         UsageError: This version of CasADi generates code in another form.
     """
     generated = generated_code(
-        plan.dae, plan.name, plan.functions, plan.solver, has_events=plan.system is not None
+        plan.laws, plan.name, plan.functions, plan.solver, has_events=plan.system is not None
     )
     code = re.sub(r"^ \* +$", " *", generated, flags=re.MULTILINE)
     code = _SMALL_FUNCTION.sub(r"\1SMALL ", in_pieces(code))

@@ -11,8 +11,15 @@ import casadi as ca
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import runtime_sources, solver_sources
-from cosim.codegen.fmu.equations import bounded_limits, embedded_sources, has_rank, model_functions
+from cosim.codegen.fmu.equations import (
+    bounded_limits,
+    embedded_sources,
+    fmu_laws,
+    has_rank,
+    model_functions,
+)
 from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
+from cosim.codegen.functions import Laws
 from cosim.errors import ParameterError
 from cosim.fmi.export.dependencies import (
     Dependencies,
@@ -36,6 +43,7 @@ class Plan:
         options: The options of the export.
         name: C identifier of the FMU.
         dae: The model as exported: with the selected outputs, margins as outputs, modes as inputs.
+        laws: Its equations, with constants for its parameters.
         system: Its relations, events and pulses; None if it has none.
         variables: All variables; the position of each is its value reference.
         depends: Structural dependencies of the unknowns.
@@ -50,6 +58,7 @@ class Plan:
     options: FmuOptions
     name: str
     dae: Dae
+    laws: Laws
     system: Hybrid | None
     variables: tuple[FmuVariable, ...]
     depends: Dependencies
@@ -177,6 +186,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     system = fmu_events(dae)
     if system is not None:
         dae = system.dae
+    laws = fmu_laws(dae, system)
     modes = len(system.relations) if system else 0
     variables = fmu_variables(dae, tunable, valid=options.valid, modes=modes)
     if options.names == NameStyle.STRUCTURED:
@@ -195,6 +205,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         options=options,
         name=name,
         dae=dae,
+        laws=laws,
         system=system,
         variables=variables,
         depends=depends,
@@ -203,7 +214,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         step_size=step_size if solver in FIXED_STEPS else None,
         detects_singularity=has_rank(dae),
         functions=model_functions(
-            dae, system, derivatives=options.derivatives, adjoint=options.fmi == 3
+            laws, system, derivatives=options.derivatives, adjoint=options.fmi == 3
         ),
         embedded=embedded,
     )

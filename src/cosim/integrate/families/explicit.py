@@ -13,7 +13,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.casadi_patches import REPORT
-from cosim.codegen.functions import inputs_at, prepared, symbols_of
+from cosim.codegen.functions import hoisted_laws, inputs_at, prepared, symbols_of
 from cosim.codegen.initialization import prepared_algebraic, projection_step
 from cosim.codegen.kernel_library import law_text
 from cosim.codegen.runge_kutta.explicit_library import (
@@ -118,7 +118,7 @@ def _compiled(
     function, constants = prepared(dae)
     t, x, z, u, c = symbols = symbols_of(function)
     now = inputs_at(dae, inputs, t, u)
-    solved = prepared_algebraic(dae)(t, x, z, now, c) if dae.algebraics else z
+    solved = prepared_algebraic(hoisted_laws(dae))(t, x, z, now, c) if dae.algebraics else z
     ode, _ = function(t, x, solved, now, c)
     projection = _projection(dae, inputs, c.numel()) if project else None
     rhs = ca.Function("rhs", symbols, [ode, solved])
