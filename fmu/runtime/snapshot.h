@@ -156,8 +156,9 @@ static Status release_snapshot(Instance *self, void **snapshot) {
     return OK;
 }
 
+/* All have the same size; whoever reads or writes one looks whether it is whole. */
 static Status snapshot_size(Instance *self, const void *snapshot, size_t *size) {
-    const char *reason = fault_of(self, snapshot);
+    const char *reason = snapshot ? foreign(self, snapshot) : "the FMU state is missing";
     if (!reason && !size) reason = "there is no room for the size";
     if (reason) return reject(self, reason);
     *size = sizeof(Snapshot);

@@ -23,6 +23,11 @@ class Clock:
     length: float = nan
     count: int = 0
 
+    @property
+    def facts(self) -> tuple[float, float, float, int]:
+        """Its attributes in their order, for a new clock; `astuple` takes ten times as long."""
+        return self.now, self.first, self.length, self.count
+
     def target(self, owner: str, step: float | None, to: float | None) -> float:
         """Return the time that a call of `advance` is to reach, s; see `target_of`."""
         if to is None and isinstance(step, float | int) and step == self.length:

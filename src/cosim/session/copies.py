@@ -3,7 +3,6 @@
 import io
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -243,7 +242,7 @@ class Copies:
             for name, found in texts.items()
             for part, column in (("at", found.keys()), ("text", found.values()))
         }
-        facts = {"model": np.array(self.name), "clock": np.array(astuple(self._clock))}
+        facts = {"model": np.array(self.name), "clock": np.array(self._clock.facts)}
         arrays = {**facts, **lists, **engine.save()}
         np.savez(content, allow_pickle=False, **arrays)  # checksums of a ZIP archive
         return content.getvalue()

@@ -6,7 +6,6 @@ import uuid
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import astuple
 from enum import StrEnum
 from functools import cached_property
 from operator import attrgetter
@@ -351,7 +350,7 @@ class Session:
         else:
             owner = self._own
             place = states.keep()
-        facts = (*astuple(self._clock), place)
+        facts = (*self._clock.facts, place)
         whole = _HEAD.pack(_MAGIC, owner, *facts) + content
         return _SUM.pack(zlib.crc32(whole)) + whole
 
