@@ -64,15 +64,14 @@ static inline int is_stiff(Problem *self, const Accepted *step) {
     return 0;
 }
 
-/* Integrates x over the grid; `out` takes a column per output time. Returns one of the codes. */
-static inline int integrate_adaptive(Problem *self, const Grid *grid, double *out, double *z,
-                                     Course *course) {
+/* Integrates x over the grid. Returns one of the codes. */
+static inline int integrate_adaptive(Problem *self, const Grid *grid, double *x, Course *course) {
     const Ode ode = {problem_slope, problem_scale, self};
     Slopes k;
-    double x[NX], end[NX], t = grid->times[0];
+    double end[NX], t = grid->begin;
     Watch *watch = MODES > 0 ? self->watch : NULL;
     Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    const double stop = grid->times[grid->points - 1];
+    const double stop = grid->end, *times = grid->times;
     Step step = {.watch = watch,
                  .known = stop,
                  .motion = &accepted,
@@ -80,27 +79,24 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
                  .step_to = step_afresh,
                  .slopes = (const double (*)[NX])k,
                  .stages = END + 1,
-                 .looked = grid->times};
+                 .looked = times};
     Place here, ahead;
-    long long next = 1, trials = 0;
+    long long next = 0, trials = 0;
     int rejected = 0;
-    memcpy(x, out, sizeof x);
-    if (equations_at(self, t, x, k[0], z) || !is_finite(k[0])) return NOT_FINITE;
+    if (equations_at(self, t, x, k[0], grid->first) || !is_finite(k[0])) return NOT_FINITE;
     if (watch && look_afresh(watch, t, x, k[END], &here)) return NOT_FINITE;
     double h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
-    while (next < grid->points) {
+    while (t < stop) {
         course->reached = t;
         course->last = h;
         if (halted) return HALTED;
         if (++trials > MOST_STEPS) return TOO_MANY_STEPS;
         if (watch && stop - t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
-            memcpy(out + next * NX, x, sizeof x);
-            if (z && equations_at(self, stop, x, k[1], z + next * NZ)) return NOT_FINITE;
-            ++course->passed;
-            ++next;
-            continue;
+            for (; next < grid->points; ++next)
+                if (write_column(self, grid, next, x, course)) return NOT_FINITE;
+            break;
         }
-        if (0.1 * h <= fabs(t) * DBL_EPSILON || h < 1e-18 * (stop - grid->times[0]))
+        if (0.1 * h <= fabs(t) * DBL_EPSILON || h < 1e-18 * (stop - grid->begin))
             return STEP_TOO_SMALL;
         const int final = t + 1.01 * h >= stop;
         if (final) h = stop - t;
@@ -126,7 +122,7 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
                 look(watch, after, end, z_end, k[END], &ahead))
                 return NOT_FINITE;
-            if (crossing_of(&step, x, grid->times + next, out + next * NX, &here, &ahead,
+            if (crossing_of(&step, x, times + next, grid->states + next * NX, &here, &ahead,
                             &crossing))
                 return NOT_FINITE;
             if (crossing.relation >= 0 && !(accepted.error <= 1)) {
@@ -140,48 +136,41 @@ static inline int integrate_adaptive(Problem *self, const Grid *grid, double *ou
             here = ahead;
         }
         const int crossed = crossing.relation >= 0;
-        if (grid->times[next] < after && interpolated(&accepted)) return NOT_FINITE;
-        for (; next < grid->points && grid->times[next] <= after; ++next, trials = 0) {
-            if (crossed && grid->times[next] == after) break;
-            double *column = out + next * NX;
-            if (grid->times[next] < after) {
-                if (grid->times + next >= step.looked)
-                    evaluate(&accepted.piece, grid->times[next], column);
-                if (restore(self, grid->times[next], column) || !is_finite(column))
-                    return NOT_FINITE;
-            } else {
-                memcpy(column, end, sizeof end);
-            }
-            if (z && equations_at(self, grid->times[next], column, k[1], z + next * NZ))
+        if (next < grid->points && times[next] < after && interpolated(&accepted))
+            return NOT_FINITE;
+        for (; next < grid->points && times[next] <= after; ++next, trials = 0) {
+            if (crossed && times[next] == after) break;
+            double *column = grid->states + next * NX;
+            const int inner = times[next] < after;
+            if (inner && times + next >= step.looked)
+                evaluate(&accepted.piece, times[next], column);
+            if (inner && (restore(self, times[next], column) || !is_finite(column)))
                 return NOT_FINITE;
-            ++course->passed;
+            if (write_column(self, grid, next, inner ? column : end, course)) return NOT_FINITE;
         }
         if (crossed) {
-            double *column = out + next * NX, *unknowns = z ? z + next * NZ : NULL;
             course->reached = after;
-            if (pass_event(watch, &crossing, step.fresh))
-                return ends_run(watch, &crossing, step.fresh, column, unknowns);
+            if (pass_event(watch, &crossing, step.fresh, false))
+                return ends_run(watch, &crossing, step.fresh, x);
             t = after;
             rejected = 0;
-            memcpy(x, step.fresh, sizeof x);
+            memcpy(x, step.fresh, sizeof end);
             if (equations_at(self, t, x, k[0], NULL) || !is_finite(k[0]) ||
                 look_afresh(watch, t, x, k[END], &here))
                 return NOT_FINITE;
             h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
-            if (grid->times[next] > t) continue;
-            memcpy(column, x, sizeof x);
-            if (unknowns) memcpy(unknowns, self->z, NZ * sizeof *unknowns);
-            ++course->passed;
+            if (next == grid->points || times[next] > t) continue;
+            write_event(self, grid, next, x, course);
             ++next;
             continue;
         }
-        memcpy(x, end, sizeof x);
+        memcpy(x, end, sizeof end);
         memcpy(k[0], k[END], sizeof k[0]);
         t = after;
         h = fmin(h * growth(error, rejected), grid->largest);
         rejected = 0;
     }
-    course->reached = t;
+    course->reached = stop;
     return SUCCESS;
 }
 

@@ -119,11 +119,11 @@ class Piece:
         left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start, in_pieces=True)
+        if self.kernel is not None and found.events is None:
+            self.kernel.note_steps(found.counts.steps or 0)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
-            if self.kernel is not None:
-                self.kernel.note_steps(found.counts.steps or 0)
         return found
 
     def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
@@ -310,10 +310,10 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         piece: The motion.
         closely: Whether the solver, not the cubic, shows how near a relation comes and returns.
     """
-    if not piece.system.of_states or len(piece.times) < 2:
-        return None
     if piece.reached.watched:
         return _crossed(piece)
+    if not piece.system.of_states or len(piece.times) < 2:
+        return None
     inside, towards = piece.margins(piece.seen)
     inside += piece.noise
     outside = inside[1:] < 0
