@@ -14,7 +14,7 @@ from cosim.codegen.functions import equations
 from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.kernel import Kernel, Rows
+from cosim.integrate.kernel import Kernel, Rows, State
 from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
@@ -222,7 +222,9 @@ class Piece:
 
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
-        if self.kernel is not None and len(self.times) > 1:
+        if self.kernel is None or len(self.times) < 2:
+            return
+        if (self.kernel.switching.states == State.LEAVES).any():
             self.kernel.note_inside(self.begin.modes, self.seen.arguments[-1])
 
     def interpolated(self, k: int, shares: Vector) -> Watched:
