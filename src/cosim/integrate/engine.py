@@ -76,6 +76,17 @@ class Problem:
         """Output times, s, (n,)."""
         return np.frombuffer(self.times)
 
+    def longest(self, step: float | None) -> float | None:
+        """Return a longest step of which none spans a sample of the inputs, s; None for any.
+
+        Args:
+            step: The longest one otherwise, s, which has been limited so in the problem's own time.
+        """
+        if self.inputs is None or self.in_own_time:
+            return step
+        closest = float(np.diff(self.inputs.time).min())
+        return closest if step is None else min(step, closest)
+
 
 EngineBuffer = tuple[Any, Callable[[], None]]  # CasADi's buffer and what evaluates it
 

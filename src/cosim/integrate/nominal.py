@@ -243,8 +243,8 @@ def in_own_time(problem: Problem, solver: Solver) -> tuple[Problem, Solver, tupl
     """Return a problem over times from 0 to 1, its solver, and its begin and length, s.
 
     Pieces of a run whose lengths differ by rounding are then equal problems, with one engine. The
-    last item is empty, and nothing changes, where an engine for other times is cheap, an input
-    follows a series, or times are too close for SUNDIALS.
+    last item is empty, and nothing changes, where an engine for other times is cheap, or times are
+    too close for SUNDIALS.
     """
     grid = problem.grid
     begin, end = grid[[0, -1]].tolist()
@@ -252,7 +252,7 @@ def in_own_time(problem: Problem, solver: Solver) -> tuple[Problem, Solver, tupl
     unit = power(_SAME_TIMES * np.spacing(max(-begin, end)) / length)
     shares = np.round((grid - begin) / length / unit) * unit
     cheap = problem.compiled and solver.takes_times
-    if cheap or problem.inputs is not None or np.diff(shares).min() <= _CLOSE_SHARES:
+    if cheap or np.diff(shares).min() <= _CLOSE_SHARES:
         return problem, solver, ()
 
     def share(step: float, towards: float) -> float:
@@ -261,8 +261,10 @@ def in_own_time(problem: Problem, solver: Solver) -> tuple[Problem, Solver, tupl
     # in single precision, so that rounding makes no difference
     if isinstance(solver, FixedStep) and solver.step_size is not None:
         solver = replace(solver, step_size=share(solver.step_size, np.inf))
-    elif isinstance(solver, AdaptiveSolver) and solver.max_step is not None:
-        longest = share(solver.max_step, 0) if solver.max_step < length else None
+    elif isinstance(solver, AdaptiveSolver):
+        longest = problem.longest(solver.max_step)
+        if longest is not None:
+            longest = share(longest, 0) if longest < length else None
         solver = replace(solver, max_step=longest)
     return replace(problem, times=shares.tobytes(), in_own_time=True), solver, (begin, length)
 

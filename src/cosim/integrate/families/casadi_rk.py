@@ -47,8 +47,7 @@ class _CasadiSolver(AdaptiveSolver):
         run, library = explicit_function(path, points, 0, points if problem.piecewise else 1)
         p, clock = MX.sym("p", dae.p.numel()), MX.sym("clock", 2 if problem.in_own_time else 0)
         settings = (points, 1 if problem.piecewise else points)
-        closest = np.inf if inputs is None else float(np.diff(inputs.time).min())
-        largest = min(closest, self.max_step or np.inf) / length
+        largest = (problem.longest(self.max_step) or np.inf) / length
         span = (clock,) if problem.in_own_time else (start, length)
         numbers = (*span, *self.tolerance.pair, largest, *settings)
         extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))

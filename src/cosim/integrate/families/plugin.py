@@ -47,9 +47,9 @@ def plugin_engine(
     else:
         system = dae.casadi
     options = dict(options)
-    if inputs is not None:
-        closest = float(np.diff(inputs.time).min())
-        options["max_step_size"] = min(options.get("max_step_size", closest), closest)
+    longest = problem.longest(options.get("max_step_size"))
+    if longest is not None:
+        options["max_step_size"] = longest
     options |= {n: options[n] / unit for n in ("min_step_size", "max_step_size") if n in options}
     if "init_xdot" in options:
         options["init_xdot"] = [unit * slope for slope in options["init_xdot"]]
