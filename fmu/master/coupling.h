@@ -297,6 +297,27 @@ static inline int jumped(Coupling *self) {
     return change > 0 && jump_of(self) >= change;
 }
 
+/* Estimate the error of the cubics within the last given step, unlike `mismatch`, which tells what
+ * was seen of it at output times. A step without a past has only the order 2 of a straight line:
+ * that counts where no step has more. */
+static inline void estimate_error(Coupling *self, double error) {
+    System *system = self->system;
+    const long long m = system->inputs;
+    const double *found = self->found;
+    const double seen = fmax(self->mismatch, largest(m, found, self->w));
+    const int tells = self->known > 0 && !self->switched;
+    system->interface_error = fmax(system->interface_error, tells ? fmax(error, seen) : seen);
+    if (tells) system->coarse = -1;
+    if (!self->switched && system->coarse >= 0) system->coarse = fmax(system->coarse, error);
+    as_vector(self, &self->now, self->change);
+    const double moved = largest(m, found, self->change);
+    if (!self->known) /* the mean of both rates tells what was to be expected */
+        for (long long k = 0; k < m; ++k)
+            self->change[k] += (self->change[m + k] + found[m + k]) / 2;
+    const double jump = largest(m, found, self->known ? found + 2 * m : self->change);
+    if (moved > 0 && jump >= moved) system->interface_error = fmax(system->interface_error, jump);
+}
+
 /* Find the inputs that jump as the last step begins, as a small heat capacity off its balance does:
  * the rate there moves their cubic further than they have moved, or by more than their size. */
 static inline int find_jumps(Coupling *self, int accepted) {
@@ -317,14 +338,13 @@ static inline int find_jumps(Coupling *self, int accepted) {
 }
 
 /* A macro step of a given length; it is repeated without what inputs do that jump as it begins. */
-static inline int given_step(Coupling *self) {
-    double error = 0;
+static inline int given_step(Coupling *self, double *error) {
     const int repeats = self->all_roll_back && iterates(self);
     memset(self->jumps, 0, (size_t)self->system->inputs * sizeof *self->jumps);
-    const int how = macro_step(self, iterates(self), &error);
+    const int how = macro_step(self, iterates(self), error);
     if (!repeats || how > REJECTED || !find_jumps(self, how == ACCEPTED)) return how;
     self->system->how = CALL_FAILED; /* of going back */
-    return restore_all_but(self, NULL) ? BROKEN : macro_step(self, 1, &error);
+    return restore_all_but(self, NULL) ? BROKEN : macro_step(self, 1, error);
 }
 
 static inline int run_fixed(Coupling *self) {
@@ -336,7 +356,8 @@ static inline int run_fixed(Coupling *self) {
         if (same_time(system, end, system->stop)) end = system->stop;
         self->next.t = fmin(end, self->event);
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
-        const int how = given_step(self);
+        double error = 0;
+        const int how = given_step(self, &error);
         if (how == BROKEN) return (int)system->how;
         if (how == REJECTED) return self->reason;
         if (how == EVENT_WITHIN) {
@@ -347,6 +368,7 @@ static inline int run_fixed(Coupling *self) {
         system->jumps += largest(system->inputs, self->jumps, NULL) > 0;
         const double given = largest(system->inputs, self->found, self->w);
         system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));
+        if (system->method >= EXTRAPOLATED) estimate_error(self, error);
         const int jumps = jumped(self);
         if (jumps) system->mismatch = fmax(system->mismatch, jump_of(self));
         const int arrived = arrive(self);

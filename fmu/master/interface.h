@@ -43,8 +43,9 @@ typedef struct {
     /* answers */
     long long how, rows, macro_steps, rejected, iterations, unsettled, forced, part, input, status;
     const char *function;
-    double time, mismatch; /* of inputs and outputs where steps are given, the largest */
-    double noise;          /* of an input, in its scale, where it keeps steps from getting longer */
+    double time, mismatch;          /* of inputs and outputs where steps are given, the largest */
+    double interface_error, coarse; /* estimates for given steps: with a past; without any */
+    double noise; /* of an input, in its scale, where it keeps steps from getting longer */
     long long jumps, noted; /* given macro steps as which an input jumps; the input of a note */
 } System;
 

@@ -368,7 +368,7 @@ class CoSimulation:
         if settings.macro_step is not None:
             stats["macro_step"] = settings.macro_step
             if settings.method in (Method.EXTRAPOLATED, Method.ITERATED):
-                stats["interface_error"] = float(system.mismatch)
+                stats["interface_error"] = float(max(system.interface_error, system.coarse))
         if system.how == Ending.ENDED_BY_FMU:
             name = list(self.parts)[system.part]
             why = why_it_ended(self.parts[name].instance.log_texts)

@@ -202,7 +202,8 @@ class System:
             The recorded variables. Its `stats` holds macro_steps, rejected_steps, iterations,
             part_steps and order (by part), error_estimate where the run was checked, and with
             `macro_step`, if inputs are cubics, interface_error: the largest difference of inputs
-            and outputs, in the sizes of the inputs, within macro steps and at their ends. If a
+            and outputs, in the sizes of the inputs, at output times and as it is estimated for
+            the middle of macro steps. If a
             part ends the run, it is complete, and stop and stop_time say which part, and when.
             undriven_inputs names inputs that kept their start value without being declared open.
 
