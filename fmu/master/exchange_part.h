@@ -19,7 +19,7 @@ typedef struct {
     long long saves; /* whether the FMU saves its state; otherwise time and states are all of it */
     double start, stop, relative_tolerance;
     const double *nominals;
-    Functions *steps; /* the functions of the part; what its solver does replaces those of the FMU */
+    Functions *steps; /* the functions of the part, some of which are its solver's */
     /* answers */
     const char *function; /* of the FMU, that failed */
 } Model;
@@ -40,11 +40,13 @@ typedef struct {
 
 /* A status for the master: a step that finds no end may be a shorter one. */
 static inline int status_of(Stepped *self, int how) {
-    self->model->function = how == STEP_VANISHED ? "the integration" : self->fmu.function;
-    return how == DONE                                            ? OK
-           : how == STEP_VANISHED || self->fmu.status == DISCARD ? DISCARD
-           : self->fmu.status != OK                               ? self->fmu.status
-                                                                  : FAILED;
+    const int vanished = how == STEP_VANISHED;
+    self->model->function =
+        vanished ? "the integration (step size too small, or too many steps)" : self->fmu.function;
+    return how == DONE                               ? OK
+           : vanished || self->fmu.status == DISCARD ? DISCARD
+           : self->fmu.status != OK                  ? self->fmu.status
+                                                     : FAILED;
 }
 
 /* The distance from which on the master tells times apart, some times over. */
@@ -77,9 +79,9 @@ static inline int pass_edge(Stepped *self, double edge, bool *event) {
  * show it. */
 static inline int step_until(Stepped *self, double goal, bool *event) {
     Exchange *solver = &self->exchange;
-    const double begin = solver->t, edge = begin + resolution(&self->run, begin);
+    const double from = solver->t, edge = from + resolution(&self->run, from);
     double x[NX], signs[NZ];
-    if (goal - begin <= 4 * DBL_EPSILON * fmax(fabs(goal), fabs(begin))) {
+    if (goal - from <= 4 * DBL_EPSILON * fmax(fabs(goal), fabs(from))) {
         solver->t = goal; /* as time is rounded */
         return DONE;
     }
@@ -87,7 +89,7 @@ static inline int step_until(Stepped *self, double goal, bool *event) {
     memcpy(signs, solver->signs, sizeof signs);
     const int how = until_event(solver, goal, event);
     if (how != DONE || !*event || solver->t >= edge || solver->t >= goal) return how;
-    solver->t = begin;
+    solver->t = from;
     memcpy(solver->x, x, sizeof x);
     memcpy(solver->signs, signs, sizeof signs);
     return pass_edge(self, fmin(edge, goal), event);
@@ -149,13 +151,11 @@ static int leave_events(void *stepper) {
                call->enter_continuous_time_mode(call->instance)) ||
         (n && failed(&self->fmu, "get_states", call->get_states(call->instance, solver->x, n)));
     if (wrong) return status_of(self, CALL_FAILED);
-    /* the inputs are those of now */
-    return status_of(self, self->run.indicators && failed(&self->fmu, "get_indicators",
-                                                          call->get_indicators(
-                                                              call->instance, solver->signs,
-                                                              (size_t)self->run.indicators))
-                               ? CALL_FAILED
-                               : DONE);
+    const size_t indicators = (size_t)self->run.indicators; /* with the inputs of now */
+    const int lost =
+        indicators && failed(&self->fmu, "get_indicators",
+                             call->get_indicators(call->instance, solver->signs, indicators));
+    return status_of(self, lost ? CALL_FAILED : DONE);
 }
 
 /* Values on the line through the present state. */
@@ -169,7 +169,7 @@ static inline int outputs_at(Stepped *self, double t, const double *x, const uin
                                : model->get_3(instance, references, n, y, n));
 }
 
-enum { AT_ONCE = 32 }; /* outputs of a call */
+enum { AT_ONCE = 32 };            /* outputs of a call */
 static const double SHARE = 1e-5; /* of a solver's step, for differences */
 
 /* Derivatives of outputs by time while the inputs stay, by differences along the motion. */
@@ -178,7 +178,7 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
     const double t = solver->t;
-    double x[NX], before[AT_ONCE];
+    double x[NX], before[AT_ONCE] = {0};
     (void)orders, (void)count;
     self->fmu.function = NULL;
     self->fmu.status = OK;

@@ -87,12 +87,12 @@ static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
         const uint32_t *references = self->output_references + i;
         const size_t n = together(self->moving_outputs - i);
         if (call->output_derivatives_2
-                ? failed(fmu, "output_derivatives_2",
-                         call->output_derivatives_2(call->stepper, references, n, orders,
-                                                    rates + i))
+                ? failed(
+                      fmu, "output_derivatives_2",
+                      call->output_derivatives_2(call->stepper, references, n, orders, rates + i))
                 : failed(fmu, "output_derivatives_3",
-                         call->output_derivatives_3(call->stepper, references, n, orders,
-                                                    rates + i, n)))
+                         call->output_derivatives_3(call->stepper, references, n, orders, rates + i,
+                                                    n)))
             return 1;
     }
     return 0;
@@ -149,12 +149,13 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     if (call->do_step_2)
         status = call->do_step_2(call->stepper, time, length, !self->rolls_back);
     else
-        status = call->do_step_3(call->stepper, time, length, !self->rolls_back, &event,
-                                 &terminate, &early, &last);
+        status = call->do_step_3(call->stepper, time, length, !self->rolls_back, &event, &terminate,
+                                 &early, &last);
     const char *function = call->do_step_2 ? "do_step_2" : "do_step_3";
     if (status == DISCARD) {
         int terminated = 0;
-        if (call->get_boolean_status) call->get_boolean_status(call->instance, TERMINATED, &terminated);
+        if (call->get_boolean_status)
+            call->get_boolean_status(call->instance, TERMINATED, &terminated);
         if (terminated) {
             self->reached = time;
             call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &self->reached);
