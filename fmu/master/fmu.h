@@ -23,6 +23,7 @@ typedef struct {
 typedef struct {
     long long version;
     void *instance;
+    void *stepper; /* what steps, events and states belong to: the instance, or its own solver */
     int (*set_time)(void *, double);
     int (*get_states)(void *, double *, size_t);
     int (*set_states)(void *, const double *, size_t);
@@ -74,25 +75,29 @@ typedef struct {
     double next;
 } Events;
 
+/* Discrete states once; `needed` tells whether to ask again. Returns 0 unless the call fails. */
+static inline int update_once(Fmu *self, bool *needed, Events *events) {
+    const Functions *call = self->call;
+    bool nominals, values;
+    if (!call->new_discrete_states)
+        return failed(self, "update_discrete_states",
+                      call->update_discrete_states(call->stepper, needed, &events->terminate,
+                                                   &nominals, &values, &events->next_defined,
+                                                   &events->next));
+    EventInfo info = {0};
+    if (failed(self, "new_discrete_states", call->new_discrete_states(call->stepper, &info)))
+        return 1;
+    *needed = info.needed;
+    *events = (Events){info.terminate, info.next_defined, info.next};
+    return 0;
+}
+
 /* Discrete states of one time until they stay. Returns 0 unless a call fails. */
 static inline int update(Fmu *self, Events *events) {
-    const Functions *call = self->call;
-    bool needed = true, nominals, values;
+    bool needed = true;
     for (int i = 0; needed && !events->terminate; ++i) {
         if (i == MOST_UPDATES) return failed(self, "the iteration of discrete states", FAILED);
-        if (call->version == 2) {
-            EventInfo info = {0};
-            if (failed(self, "new_discrete_states",
-                       call->new_discrete_states(call->instance, &info)))
-                return 1;
-            needed = info.needed;
-            *events = (Events){info.terminate, info.next_defined, info.next};
-        } else if (failed(self, "update_discrete_states",
-                          call->update_discrete_states(call->instance, &needed, &events->terminate,
-                                                       &nominals, &values, &events->next_defined,
-                                                       &events->next))) {
-            return 1;
-        }
+        if (update_once(self, &needed, events)) return 1;
     }
     return 0;
 }

@@ -18,6 +18,10 @@ enum { MOST_TRIED = 100000, MOST_STANDSTILLS = 1000 }; /* per output interval; e
 #error "define NX and NZ before solvers are included"
 #endif
 
+/* The callback of FMI 3 by which an FMU asks for its inputs within a step. */
+typedef void Answer(void *environment, double time, bool asks, bool readable, bool finished,
+                    bool may_return, bool *stops, double *until);
+
 typedef struct {
     Run *run;
     Fmu *fmu;
@@ -27,12 +31,15 @@ typedef struct {
     double signs[NZ]; /* indicators at t */
     Slopes k;
     Interpolant piece;
+    Answer *inputs; /* sets those of a time; NULL if they do not move */
 } Exchange;
 
 /* Brings the FMU to a time and a state. Returns 0 unless a call fails. */
 static inline int move_fmu(Exchange *self, double t, const double *x) {
     const Functions *call = self->fmu->call;
     const size_t n = (size_t)self->run->states;
+    bool stops = false;
+    if (self->inputs) self->inputs(NULL, t, true, false, false, false, &stops, NULL);
     return failed(self->fmu, "set_time", call->set_time(call->instance, t)) ||
            (n && failed(self->fmu, "set_states", call->set_states(call->instance, x, n)));
 }

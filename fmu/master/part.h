@@ -1,4 +1,5 @@
-/* A part of a coupled system: an FMU for co-simulation with the inputs that outputs drive. */
+/* A part of a coupled system: an FMU with the inputs that outputs drive. One for model exchange
+ * steps by functions of exchange_part.h, which are those of co-simulation of FMI 3.0. */
 #ifndef PART_H
 #define PART_H
 
@@ -65,7 +66,7 @@ static inline int part_set_derivatives(Fmu *fmu, const Part *self, int order,
                                        const double *values) {
     const Functions *call = calls_of(fmu, self);
     int32_t orders[TOGETHER];
-    if (call->version == 3) return 0;
+    if (!call->set_input_derivatives) return 0;
     for (int k = 0; k < TOGETHER; ++k) orders[k] = order;
     for (long long i = 0; i < self->moving_inputs; i += TOGETHER)
         if (failed(fmu, "set_input_derivatives",
@@ -85,12 +86,13 @@ static inline int part_rates(Fmu *fmu, const Part *self, double *rates) {
     for (long long i = 0; i < self->moving_outputs; i += TOGETHER) {
         const uint32_t *references = self->output_references + i;
         const size_t n = together(self->moving_outputs - i);
-        if (call->version == 2 ? failed(fmu, "output_derivatives_2",
-                                        call->output_derivatives_2(call->instance, references, n,
-                                                                   orders, rates + i))
-                               : failed(fmu, "output_derivatives_3",
-                                        call->output_derivatives_3(call->instance, references, n,
-                                                                   orders, rates + i, n)))
+        if (call->output_derivatives_2
+                ? failed(
+                      fmu, "output_derivatives_2",
+                      call->output_derivatives_2(call->stepper, references, n, orders, rates + i))
+                : failed(fmu, "output_derivatives_3",
+                         call->output_derivatives_3(call->stepper, references, n, orders, rates + i,
+                                                    n)))
             return 1;
     }
     return 0;
@@ -113,7 +115,7 @@ static inline int part_save(Fmu *fmu, Part *self) {
     if (!self->rolls_back) return 0;
     self->kept = self->violations;
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, "get_fmu_state", call->get_fmu_state(call->instance, &self->saved));
+    return failed(fmu, "get_fmu_state", call->get_fmu_state(call->stepper, &self->saved));
 }
 
 static inline int part_restore(Fmu *fmu, Part *self) {
@@ -121,11 +123,11 @@ static inline int part_restore(Fmu *fmu, Part *self) {
     self->waits = 0;
     self->violations = self->kept;
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, "set_fmu_state", call->set_fmu_state(call->instance, self->saved));
+    return failed(fmu, "set_fmu_state", call->set_fmu_state(call->stepper, self->saved));
 }
 
 static inline void part_forget(Part *self) {
-    if (self->saved) self->call->free_fmu_state(self->call->instance, &self->saved);
+    if (self->saved) self->call->free_fmu_state(self->call->stepper, &self->saved);
 }
 
 /* Writes a row of what the part records. */
@@ -144,15 +146,16 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     double last = time + length; /* of the solver inside, which may be behind the step's end */
     int status;
     ++self->steps;
-    if (call->version == 2)
-        status = call->do_step_2(call->instance, time, length, !self->rolls_back);
+    if (call->do_step_2)
+        status = call->do_step_2(call->stepper, time, length, !self->rolls_back);
     else
-        status = call->do_step_3(call->instance, time, length, !self->rolls_back, &event,
-                                 &terminate, &early, &last);
-    const char *function = call->version == 2 ? "do_step_2" : "do_step_3";
+        status = call->do_step_3(call->stepper, time, length, !self->rolls_back, &event, &terminate,
+                                 &early, &last);
+    const char *function = call->do_step_2 ? "do_step_2" : "do_step_3";
     if (status == DISCARD) {
         int terminated = 0;
-        if (call->version == 2) call->get_boolean_status(call->instance, TERMINATED, &terminated);
+        if (call->get_boolean_status)
+            call->get_boolean_status(call->instance, TERMINATED, &terminated);
         if (terminated) {
             self->reached = time;
             call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &self->reached);
@@ -170,13 +173,13 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
 
 static inline int part_enter_event_mode(Fmu *fmu, const Part *self) {
     const Functions *call = calls_of(fmu, self);
-    return failed(fmu, "enter_event_mode", call->enter_event_mode(call->instance));
+    return failed(fmu, "enter_event_mode", call->enter_event_mode(call->stepper));
 }
 
 static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
     const Functions *call = calls_of(fmu, self);
     self->waits = 0;
-    return failed(fmu, "enter_step_mode", call->enter_step_mode(call->instance));
+    return failed(fmu, "enter_step_mode", call->enter_step_mode(call->stepper));
 }
 
 /* What happens at an event, in event mode. */

@@ -20,7 +20,7 @@ def test_fields_are_those_of_the_header_in_their_order():
 
 
 def test_fields_may_be_arrays(monkeypatch):
-    header = "typedef struct { double t, x[3]; const char *names[2]; } Row;"
+    header = "typedef struct { double t, x[3]; const char\n*names[2]; } Row;"
     monkeypatch.setattr("cosim.codegen.c_fields.source_text", lambda _: header)
     expected = {"t": ctypes.c_double, "x": ctypes.c_double * 3, "names": ctypes.c_char_p * 2}
     assert dict(fields("row.h", "Row")) == expected

@@ -218,7 +218,8 @@ def test_wrong_abilities_are_rejected(abilities, kind, words):
         cosim.couple({"motor": "crank_shaft"}, {}, abilities=abilities)
 
 
-def test_part_for_model_exchange_only_is_rejected_with_the_remedy(tmp_path):
-    path = foreign_part(tmp_path, "lag", interface="ModelExchange")
-    with pytest.raises(UsageError, match=r"for model exchange only.*export it for co-sim"):
+def test_part_for_scheduled_execution_only_is_rejected_with_the_remedy(tmp_path):
+    path = foreign_part(tmp_path, "lag", interface="ScheduledExecution")
+    words = r"for scheduled execution only.*export it for co-simulation or model exchange"
+    with pytest.raises(UsageError, match=words):
         cosim.couple({"motor": path}, {})

@@ -1,5 +1,6 @@
-/* A small FMU of FMI 2.0 for co-simulation that others could have written; foreign_part.py defines
- * KIND, DIVIDES, GRID and FAULT. It makes 20 steps of the classic Runge-Kutta method per step. */
+/* A small FMU of FMI 2.0 that others could have written; foreign_part.py defines KIND, DIVIDES,
+ * GRID and FAULT. For co-simulation it makes 20 steps of the classic Runge-Kutta method per step.
+ */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -199,4 +200,44 @@ API int fmi2GetBooleanStatus(void *c, int kind, int *value) {
 }
 API int fmi2GetStringStatus(void *c, int kind, const char **value) {
     return (void)c, (void)kind, (void)value, 4;
+}
+API int fmi2SetTime(void *c, double time) {
+    return ((Instance *)c)->time = time, 0;
+}
+API int fmi2SetContinuousStates(void *c, const double *x, size_t n) {
+    return memcpy(&((Instance *)c)->x, x, n * sizeof *x), 0;
+}
+API int fmi2GetContinuousStates(void *c, double *x, size_t n) {
+    return memcpy(x, &((Instance *)c)->x, n * sizeof *x), 0;
+}
+API int fmi2GetNominalsOfContinuousStates(void *c, double *x, size_t n) {
+    return (void)c, *x = 1, n != 1;
+}
+API int fmi2GetDerivatives(void *c, double *dx, size_t n) {
+    Instance *self = c;
+    const double time = self->time, size = 0;
+    double y;
+    (void)time, (void)size, (void)n;
+    FAULT;
+    equations(self->x, self->u, dx, &y);
+    return 0;
+}
+API int fmi2GetEventIndicators(void *c, double *z, size_t n) {
+    return (void)c, (void)z, n > 0;
+}
+API int fmi2EnterEventMode(void *c) {
+    return (void)c, 0;
+}
+API int fmi2EnterContinuousTimeMode(void *c) {
+    return (void)c, 0;
+}
+typedef struct {
+    int needed, terminate, nominals, values, defined;
+    double next;
+} EventInfo;
+API int fmi2NewDiscreteStates(void *c, EventInfo *info) {
+    return (void)c, memset(info, 0, sizeof *info), 0;
+}
+API int fmi2CompletedIntegratorStep(void *c, int keep, int *event, int *terminate) {
+    return (void)c, (void)keep, *event = *terminate = 0, 0;
 }

@@ -1,4 +1,4 @@
-"""Small FMUs of FMI 2.0 for co-simulation as other tools write them, with chosen faults."""
+"""Small FMUs of FMI 2.0 as other tools write them, with chosen faults."""
 
 import subprocess
 from itertools import count
@@ -37,6 +37,8 @@ ABILITIES = {
     "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
+SAVES = ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative")
+EXCHANGE = dict.fromkeys(SAVES, "true")
 KINDS = ("plant", "controller", "lag")
 _number = count()
 
@@ -58,7 +60,8 @@ def foreign_part(
         folder: Where to write it.
         kind: plant, v' = (u + 10)/3, y = v; controller with integral part and limited output;
             lag, x' = u - x, y = x.
-        fault: C statements at the begin of each step; `self`, `time` and `size` are known there.
+        fault: C statements at the begin of each step, or in model exchange of each evaluation of
+            the derivative; `self`, `time` and `size` are known there.
         grid: The state after a step is rounded to a multiple of this number.
         divides: The derivative of the output is y/0 until the first step.
         step_size: The file declares steps of this size, s.
@@ -72,7 +75,8 @@ def foreign_part(
     source.write_text("".join(lines) + Path(__file__).with_name("foreign_part.c").read_text())
     flags = ["-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-lm"]
     subprocess.run([*find_compiler(), *flags], check=True)
-    attributes = " ".join(f'{key}="{value}"' for key, value in (ABILITIES | abilities).items())
+    usual = ABILITIES if interface == "CoSimulation" else EXCHANGE
+    attributes = " ".join(f'{key}="{value}"' for key, value in (usual | abilities).items())
     text = DESCRIPTION.format(
         name=name,
         interface=interface,

@@ -9,7 +9,7 @@ from cosim.codegen.c_sources import source_text
 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _FUNCTION = re.compile(r"\((\*\w+)\)\([^;]*\)")  # a pointer to one
-_DECLARATION = re.compile(r"(?:(?:const|volatile) )*(long long|\w+) ([^;]+);")
+_DECLARATION = re.compile(r"(?:(?:const|volatile) )*(long long|\w+)\s+([^;]+);")
 _NAME = re.compile(r"(\**)(\w+)(?:\[(\d+)\])?")
 _TYPES = {"long long": ctypes.c_longlong, "double": ctypes.c_double, "char*": ctypes.c_char_p}
 

@@ -325,7 +325,9 @@ class CoSimulation:
             library.settle_coupled(ctypes.byref(system))
             if system.how == Ending.DONE:
                 for _, part in self._called(task.called):
-                    part.instance.exitInitializationMode()
+                    part.leave_initialization()
+                for place, part in zip(parts, self.parts.values(), strict=True):
+                    place.call = ctypes.pointer(part.functions)
                 system.feeds = self._feeds.ctypes.data
                 library.run_coupled(ctypes.byref(system))
         del held
@@ -467,7 +469,7 @@ class CoSimulation:
             held += references
             known = by_name(part.description)
             variables = [known[variable] for variable in columns[name]]
-            place.call = ctypes.pointer(part.calls.functions)
+            place.call = ctypes.pointer(part.functions)
             place.recording = ctypes.pointer(part.calls.recording(variables, tables[name]))
             place.given = ctypes.pointer(part.given.structure)
             place.shown = ctypes.pointer(part.shown.structure)

@@ -110,8 +110,8 @@ def failure(
     if how == Ending.CALL_FAILED and system.function and 0 <= system.part < len(wiring.parts):
         name = list(wiring.parts)[system.part]
         status = _STATUSES.get(system.status, "no status of the FMI")
-        function = wiring.parts[name].calls.functions.named(system.function)
-        call = f"{function} returned {system.status} ({status})"
+        call = function = wiring.parts[name].function_name(system.function)
+        call += f" returned {system.status} ({status})" if function.startswith("fmi") else " failed"
         why = str(wiring.parts[name].explained(FmuError(call)))
         discards = system.status == _DISCARD and shorter
         remedy = as_models(wiring) if _ZENO in why else shorter if discards else ""

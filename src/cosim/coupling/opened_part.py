@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.coupling.exchange_part import ExchangeSolver
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
-from cosim.fmi.run.c_structures import Calls, Recorded
+from cosim.fmi.run.c_structures import Calls, Functions, Recorded
 from cosim.fmi.run.instance import (
     REALS,
     Interface,
@@ -89,43 +90,78 @@ class OpenedPart:
         unused: Collection[Ability] = (),
     ) -> None:
         self.name, self.path = name, path
-        self._fmu = fmu = OpenedFmu(path, Interface.CO_SIMULATION)
+        self._fmu = fmu = OpenedFmu(path)
         fmu.reset_is_enough = is_made_here(path)
         self.description = fmu.description
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
-        known, abilities = by_name(fmu.description), fmu.description.coSimulation
+        self.solver: ExchangeSolver | None = None  # of a part for model exchange, while it runs
+        self._callback = 0  # of it
+        known, exchange = by_name(fmu.description), fmu.interface is Interface.MODEL_EXCHANGE
+        abilities = fmu.description.modelExchange if exchange else fmu.description.coSimulation
         self.moving_inputs, self.inputs = _in_order([known[n] for n in inputs], is_continuous)
         self.moving_outputs, self.outputs = _in_order([known[n] for n in outputs])
         all_move = self.inputs == self.moving_inputs and self.outputs == self.moving_outputs
-        derivatives = int(abilities.maxOutputDerivativeOrder or 0) >= 1
-        derivatives = derivatives and Ability.RATES not in unused
-        self.rates = derivatives and all(v.causality == "output" for v in self.moving_outputs)
-        self.rolls_back = bool(abilities.canGetAndSetFMUstate) and Ability.ROLLBACK not in unused
+        order = int(getattr(abilities, "maxOutputDerivativeOrder", None) or 0)
+        derivatives = order >= 1 and all(v.causality == "output" for v in self.moving_outputs)
+        self.rates = (derivatives or exchange) and Ability.RATES not in unused
+        self._saves = bool(abilities.canGetAndSetFMUstate)
+        # what a part for model exchange changes at events only is the same within a step
+        goes_back = self._saves or (exchange and not abilities.needsCompletedIntegratorStep)
+        self.rolls_back = goes_back and Ability.ROLLBACK not in unused
         directional = Ability.DIRECTIONAL not in unused and all_move
         self.directional = bool(abilities.providesDirectionalDerivative) and directional
         self.order = InputOrder.CONSTANT
         interpolates = Ability.INTERPOLATION not in unused
-        if interpolates and is_second(fmu.description) and abilities.canInterpolateInputs:
+        second = is_second(fmu.description)
+        if interpolates and second and getattr(abilities, "canInterpolateInputs", False):
             self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
         events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
         events = events and all(map(is_continuous, self.inputs))  # others change in that mode only
-        self.event_mode = self.rolls_back and events
-        self.any_step = bool(abilities.canHandleVariableCommunicationStepSize)
+        self.event_mode = exchange or (self.rolls_back and events)
+        self.any_step = exchange or bool(abilities.canHandleVariableCommunicationStepSize)
         internal = getattr(abilities, "fixedInternalStepSize", None)
         self.internal_step = float(internal or 0.0)
         self.named_step = float(getattr(fmu.description.defaultExperiment, "stepSize", None) or 0)
-        if self.event_mode:
+        if exchange:
+            self._reject_for_exchange(unused)
+            self.order = InputOrder.CUBIC if interpolates else InputOrder.CONSTANT
+            self._callback = callback if interpolates else 0
+        elif self.event_mode:
             fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
-        if interpolates and fmu.reset_is_enough and asks_for_inputs(fmu.description):
+        if (
+            not exchange
+            and interpolates
+            and fmu.reset_is_enough
+            and asks_for_inputs(fmu.description)
+        ):
             self.order = InputOrder.CUBIC
             references = Layout.of(self.moving_inputs).references
             fmu.callback["requiredIntermediateVariables"] = references
             fmu.callback["intermediateUpdate"] = callback
 
+    def _reject_for_exchange(self, unused: Collection[Ability]) -> None:
+        discrete = [variable.name for variable in self.inputs if not is_continuous(variable)]
+        if discrete:
+            raise UsageError(
+                f"part '{self.name}' is for model exchange, where only continuous inputs can be "
+                f"driven, and {', '.join(discrete)} is not; export it for co-simulation"
+            )
+        if Ability.EVENTS in unused:
+            raise UsageError(
+                f"part '{self.name}' is for model exchange, which always has event mode; leave "
+                "'no event mode' out of its abilities"
+            )
+
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
+        self._drop_solver()
         self._fmu.close()
+
+    def _drop_solver(self) -> None:
+        if self.solver:
+            self.solver.close()
+        self.solver = None
 
     def start(self, values: Mapping[str, float], **experiment: float) -> None:
         """Bring the instance to initialization mode.
@@ -134,6 +170,7 @@ class OpenedPart:
             values: Start values by name.
             experiment: `startTime`, `stopTime` [s], `tolerance`.
         """
+        self._drop_solver()
         instance, self.explained = self._fmu.ready()
         if instance is not self.instance:
             self.instance, self.calls = instance, Calls(instance, self.description)
@@ -141,7 +178,31 @@ class OpenedPart:
                 Recorded(instance, self.description, variables)
                 for variables in (self.inputs, self.outputs)
             )
+        self._experiment = experiment
         begin_initialization(self.instance, self.description, values, **experiment)
+
+    def leave_initialization(self) -> None:
+        """Leave initialization mode; a part for model exchange gets a solver."""
+        self.instance.exitInitializationMode()
+        if self._fmu.interface is Interface.MODEL_EXCHANGE:
+            self.solver = ExchangeSolver(
+                self.instance,
+                self.description,
+                self.calls,
+                inputs=self._callback,
+                saves=self._saves,
+                **self._experiment,
+            )
+
+    @property
+    def functions(self) -> Functions:
+        """The functions that the master calls."""
+        return self.solver.functions if self.solver else self.calls.functions
+
+    def function_name(self, field: bytes) -> str:
+        """Return the name of a function that has failed, by its field."""
+        own = self.solver.failed_function(field) if self.solver else field
+        return self.calls.functions.named(own)
 
     def feeds(self) -> NDArray[np.int64]:
         """Return whether each output depends at once on each input, (outputs, inputs)."""

@@ -157,12 +157,10 @@ def _of_model(dae: Dae) -> dict[str, Variable]:
 def _of_fmu(path: Path) -> dict[str, Variable]:
     with unpacked(path) as folder:
         description = with_elements(read_description(folder, path))
-    if description.coSimulation is None:
-        exchange = description.modelExchange is not None
-        only = "model exchange" if exchange else "scheduled execution"
+    if description.coSimulation is None and description.modelExchange is None:
         raise UsageError(
-            f"{path} is for {only} only, and a part of a system needs a solver of its own; "
-            f"export it for co-simulation{', or simulate it alone' if exchange else ''}"
+            f"{path} is for scheduled execution only, and a part of a system cannot be; export it "
+            "for co-simulation or model exchange"
         )
     found = {}
     for name, variable in by_name(description).items():

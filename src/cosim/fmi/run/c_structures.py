@@ -126,10 +126,12 @@ class Recorded:
     def _group(self, instance: Any, getter: str, layout: Layout, second: bool) -> _Group:
         kind = _kind(getter, second)
         names = [f"fmi{2 if second else 3}{verb}{getter}" for verb in ("Get", "Set")]
+        functions = [
+            a for verb in ("Get", "Set") for a in addresses_of(instance, verb, getter, second)
+        ]
         addresses = (ctypes.c_uint32 * len(layout.references))(*layout.references)
         buffer = (KINDS[kind] * layout.values)()
         self._held += [addresses, buffer]
-        functions = [address for n in names for address in _of_version(instance, n, second)]
         return _Group(
             list(KINDS).index(kind),
             len(layout.references),
@@ -152,7 +154,8 @@ class Calls:
             for field, names in _FUNCTIONS.items()
             if (name := names[version - 2]) is not None
         }
-        self.functions = Functions(version=version, instance=instance.component, **found)
+        own = instance.component
+        self.functions = Functions(version=version, instance=own, stepper=own, **found)
         self._recorded: dict[tuple[Any, ...], Recorded] = {}
 
     def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:
@@ -165,8 +168,11 @@ class Calls:
         return structure
 
 
-def _of_version(instance: Any, name: str, second: bool) -> tuple[int | None, int | None]:
-    address = _address(instance, name)
+def addresses_of(
+    instance: Any, verb: str, getter: str, second: bool
+) -> tuple[int | None, int | None]:
+    """Return where the function of FMI 2 is that gets or sets a type, and where that of FMI 3."""
+    address = _address(instance, f"fmi{2 if second else 3}{verb}{getter}")
     return (address, None) if second else (None, address)
 
 

@@ -1,0 +1,278 @@
+/* A part for model exchange: its solver steps it as an FMU for co-simulation of FMI 3.0 steps.
+ *
+ * It is the pair of dop853.h, with the event search of model_exchange.h. Inputs follow their cubics
+ * at each evaluation. A step returns early at an event, which happens in event mode.
+ */
+#ifndef EXCHANGE_PART_H
+#define EXCHANGE_PART_H
+
+#include <stdlib.h>
+
+#include "model_exchange.h"
+
+typedef struct {
+    const Functions *call; /* of the FMU */
+    Answer *inputs;        /* NULL if they are constant within a step */
+    int (*get_2)(void *, const uint32_t *, size_t, double *);
+    int (*get_3)(void *, const uint32_t *, size_t, double *, size_t);
+    long long states, indicators, needs_completed_step;
+    long long saves; /* whether the FMU saves its state; otherwise time and states are all of it */
+    double start, stop, relative_tolerance;
+    const double *nominals;
+    Functions *steps; /* the functions of the part, some of which are its solver's */
+    /* answers */
+    const char *function; /* of the FMU, that failed */
+} Model;
+
+typedef struct {
+    Model *model;
+    Fmu fmu;
+    Run run;
+    Exchange exchange;
+} Stepped;
+
+/* What a step changes. */
+typedef struct {
+    double t, x[NX], signs[NZ];
+    Events events;
+    void *state; /* of the FMU */
+} Saved;
+
+/* A status for the master: a step that finds no end may be a shorter one. */
+static inline int status_of(Stepped *self, int how) {
+    const int vanished = how == STEP_VANISHED;
+    self->model->function =
+        vanished ? "the integration (step size too small, or too many steps)" : self->fmu.function;
+    return how == DONE                               ? OK
+           : vanished || self->fmu.status == DISCARD ? DISCARD
+           : self->fmu.status != OK                  ? self->fmu.status
+                                                     : FAILED;
+}
+
+/* The distance from which on the master tells times apart, some times over. */
+static inline double resolution(const Run *run, double t) {
+    const double rounding = 4 * DBL_EPSILON * fmax(run->stop - run->start, fabs(t));
+    return 4 * fmax(rounding, 1e-12 * (t - run->start));
+}
+
+/* Go on to the edge of what the master takes for the begin of the step, over events there. Tells
+ * whether one is left at the edge. */
+static inline int pass_edge(Stepped *self, double edge, bool *event) {
+    Exchange *solver = &self->exchange;
+    double before[NZ], z[NZ];
+    memcpy(before, solver->signs, sizeof before);
+    bool any = false;
+    while (solver->t < edge) {
+        bool passed = false;
+        const int how = until_event(solver, edge, &passed);
+        if (how != DONE) return how;
+        any |= passed;
+    }
+    memcpy(solver->signs, before, sizeof before);
+    if (indicators_at(solver, edge, solver->x, z)) return CALL_FAILED;
+    *event = crossed(solver, z) || (any && !self->run.indicators);
+    memcpy(solver->signs, z, sizeof z);
+    return DONE;
+}
+
+/* Steps to an event or a time. An event has to be far enough behind the begin for the inputs to
+ * show it. */
+static inline int step_until(Stepped *self, double goal, bool *event) {
+    Exchange *solver = &self->exchange;
+    const double from = solver->t, edge = from + resolution(&self->run, from);
+    double x[NX], signs[NZ];
+    if (goal - from <= 4 * DBL_EPSILON * fmax(fabs(goal), fabs(from))) {
+        solver->t = goal; /* as time is rounded */
+        return DONE;
+    }
+    memcpy(x, solver->x, sizeof x);
+    memcpy(signs, solver->signs, sizeof signs);
+    const int how = until_event(solver, goal, event);
+    if (how != DONE || !*event || solver->t >= edge || solver->t >= goal) return how;
+    solver->t = from;
+    memcpy(solver->x, x, sizeof x);
+    memcpy(solver->signs, signs, sizeof signs);
+    return pass_edge(self, fmin(edge, goal), event);
+}
+
+/* A step to an event or the end. What is to happen at its begin, as inputs jump there, comes first.
+ */
+static int step_model(void *stepper, double t, double length, bool no_way_back, bool *event,
+                      bool *terminate, bool *early, double *last) {
+    Stepped *self = stepper;
+    Exchange *solver = &self->exchange;
+    const double goal = t + length;
+    double z[NZ];
+    (void)no_way_back;
+    *event = *terminate = *early = false;
+    self->fmu.function = NULL;
+    self->fmu.status = OK;
+    *last = self->run.time = solver->t = t;
+    if (indicators_at(solver, t, solver->x, z)) return status_of(self, CALL_FAILED);
+    const bool timed = solver->events.next_defined;
+    if (crossed(solver, z) || (timed && solver->events.next <= t)) {
+        *event = *early = true;
+        return OK;
+    }
+    const int how = step_until(self, timed ? fmin(goal, solver->events.next) : goal, event);
+    *terminate = how == ENDED_BY_FMU;
+    if (how != DONE && how != ENDED_BY_FMU) return status_of(self, how);
+    *event |= timed && solver->t >= solver->events.next;
+    *early = *event && solver->t < goal;
+    *last = solver->t;
+    return status_of(self, move_fmu(solver, solver->t, solver->x) ? CALL_FAILED : DONE);
+}
+
+static int enter_events(void *stepper) {
+    const Functions *call = ((Stepped *)stepper)->model->call;
+    return call->enter_event_mode(call->instance);
+}
+
+static int update_model(void *stepper, bool *needed, bool *terminate, bool *nominals, bool *values,
+                        bool *defined, double *next) {
+    Stepped *self = stepper;
+    Events *events = &self->exchange.events;
+    if (update_once(&self->fmu, needed, events)) return status_of(self, CALL_FAILED);
+    *terminate = events->terminate;
+    *nominals = *values = false;
+    *defined = events->next_defined;
+    *next = events->next;
+    return OK;
+}
+
+/* Back to continuous time; what the event has changed is where the next step begins. */
+static int leave_events(void *stepper) {
+    Stepped *self = stepper;
+    Exchange *solver = &self->exchange;
+    const Functions *call = self->model->call;
+    const size_t n = (size_t)self->run.states;
+    const int wrong =
+        failed(&self->fmu, "enter_continuous_time_mode",
+               call->enter_continuous_time_mode(call->instance)) ||
+        (n && failed(&self->fmu, "get_states", call->get_states(call->instance, solver->x, n)));
+    if (wrong) return status_of(self, CALL_FAILED);
+    const size_t indicators = (size_t)self->run.indicators; /* with the inputs of now */
+    const int lost =
+        indicators && failed(&self->fmu, "get_indicators",
+                             call->get_indicators(call->instance, solver->signs, indicators));
+    return status_of(self, lost ? CALL_FAILED : DONE);
+}
+
+/* Values on the line through the present state. */
+static inline int outputs_at(Stepped *self, double t, const double *x, const uint32_t *references,
+                             size_t n, double *y) {
+    const Model *model = self->model;
+    void *const instance = model->call->instance;
+    if (move_fmu(&self->exchange, t, x)) return 1;
+    return failed(&self->fmu, "an output",
+                  model->get_2 ? model->get_2(instance, references, n, y)
+                               : model->get_3(instance, references, n, y, n));
+}
+
+enum { AT_ONCE = 32 };            /* outputs of a call */
+static const double SHARE = 1e-5; /* of a solver's step, for differences */
+
+/* Derivatives of outputs by time while the inputs stay, by differences along the motion. */
+static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
+                          const int32_t *orders, double *rates, size_t count) {
+    Stepped *self = stepper;
+    Exchange *solver = &self->exchange;
+    const double t = solver->t;
+    double x[NX], before[AT_ONCE] = {0};
+    (void)orders, (void)count;
+    self->fmu.function = NULL;
+    self->fmu.status = OK;
+    int wrong = n > AT_ONCE || slope(&solver->ode, t, solver->x, solver->k[0]);
+    double d = SHARE * (self->run.stop - self->run.start) / 50;
+    if (!wrong && self->run.states)
+        d = fmin(d, SHARE * first_step(&solver->ode, t, self->run.stop - self->run.start, solver->x,
+                                       solver->k));
+    d = fmax(d, 1e4 * DBL_EPSILON * fabs(t));
+    for (int side = -1; !wrong && side <= 1; side += 2) {
+        for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + side * d * solver->k[0][i];
+        wrong = outputs_at(self, t + side * d, x, references, n, side < 0 ? before : rates);
+    }
+    for (size_t i = 0; !wrong && i < n; ++i) rates[i] = (rates[i] - before[i]) / (2 * d);
+    const int status = wrong ? status_of(self, CALL_FAILED) : OK;
+    return move_fmu(solver, t, solver->x) ? status_of(self, CALL_FAILED) : status;
+}
+
+static int save_model(void *stepper, void **place) {
+    const Stepped *self = stepper;
+    const Functions *call = self->model->call;
+    Saved *saved = *place ? *place : calloc(1, sizeof *saved);
+    if (!saved) return FAILED;
+    *place = saved;
+    saved->t = self->exchange.t;
+    saved->events = self->exchange.events;
+    memcpy(saved->x, self->exchange.x, sizeof saved->x);
+    memcpy(saved->signs, self->exchange.signs, sizeof saved->signs);
+    return self->model->saves ? call->get_fmu_state(call->instance, &saved->state) : OK;
+}
+
+static int restore_model(void *stepper, void *place) {
+    Stepped *self = stepper;
+    const Functions *call = self->model->call;
+    const Saved *saved = place;
+    self->exchange.t = saved->t;
+    self->exchange.events = saved->events;
+    memcpy(self->exchange.x, saved->x, sizeof saved->x);
+    memcpy(self->exchange.signs, saved->signs, sizeof saved->signs);
+    const int status = self->model->saves ? call->set_fmu_state(call->instance, saved->state) : OK;
+    if (status != OK) return status;
+    return status_of(self, move_fmu(&self->exchange, saved->t, saved->x) ? CALL_FAILED : DONE);
+}
+
+static int forget_model(void *stepper, void **place) {
+    const Functions *call = ((const Stepped *)stepper)->model->call;
+    Saved *saved = *place;
+    if (saved && saved->state) call->free_fmu_state(call->instance, &saved->state);
+    free(saved);
+    *place = NULL;
+    return OK;
+}
+
+/* Gives an FMU in event mode after its initialization a solver. Returns 0 unless there is no
+ * memory; `close_model` frees it. */
+SHARED int open_model(Model *model) {
+    Stepped *self = calloc(1, sizeof *self);
+    if (!self) return 1;
+    self->model = model;
+    self->fmu.call = model->call;
+    self->run = (Run){.functions = model->call,
+                      .start = model->start,
+                      .stop = model->stop,
+                      .time = model->start,
+                      .states = model->states,
+                      .indicators = model->indicators,
+                      .needs_completed_step = model->needs_completed_step,
+                      .relative_tolerance = model->relative_tolerance,
+                      .nominals = model->nominals};
+    self->exchange = (Exchange){
+        .run = &self->run, .fmu = &self->fmu, .t = model->start, .inputs = model->inputs};
+    self->exchange.ode = (Ode){exchange_slope, exchange_scale, &self->exchange};
+    Functions *steps = model->steps;
+    *steps = *model->call;
+    steps->stepper = self;
+    steps->do_step_3 = step_model;
+    steps->enter_event_mode = enter_events;
+    steps->update_discrete_states = update_model;
+    steps->enter_step_mode = leave_events;
+    steps->output_derivatives_3 = rates_of_model;
+    steps->get_fmu_state = save_model;
+    steps->set_fmu_state = restore_model;
+    steps->free_fmu_state = forget_model;
+    steps->do_step_2 = NULL; /* nothing of co-simulation of FMI 2 */
+    steps->get_boolean_status = NULL;
+    steps->new_discrete_states = NULL;
+    steps->set_input_derivatives = NULL;
+    steps->output_derivatives_2 = NULL;
+    return 0;
+}
+
+SHARED void close_model(Functions *steps) {
+    free(steps->stepper);
+    steps->stepper = NULL;
+}
+
+#endif

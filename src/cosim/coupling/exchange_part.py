@@ -1,0 +1,94 @@
+"""The solver of a part for model exchange: fmu/master/exchange_part.h for one instance."""
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from cosim.codegen.c_fields import fields
+from cosim.codegen.c_sources import master_source
+from cosim.codegen.compiler import cached_library
+from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
+from cosim.fmi.run.c_structures import Calls, Functions, addresses_of
+from cosim.fmi.run.instance import is_second
+from cosim.fmi.run.request import nominals_of
+from cosim.memo import cached_per_thread
+
+_CALLS = dict.fromkeys(("call", "steps"), ctypes.POINTER(Functions))
+
+
+class _Model(ctypes.Structure):
+    """`Model` in fmu/master/exchange_part.h."""
+
+    _fields_ = fields("master/exchange_part.h", "Model", **_CALLS)
+
+
+class ExchangeSolver:
+    """Steps an instance for model exchange, which is in event mode after its initialization.
+
+    Args:
+        instance, description, calls: Of fmpy, and its functions.
+        inputs: Address of a C function that sets the inputs of a time; 0 if they are constant
+            within a step.
+        saves: Whether the FMU saves its state. Otherwise time and continuous states are its state.
+        experiment: `startTime`, `stopTime` [s], and the relative `tolerance` of the solver.
+
+    Attributes:
+        functions: Those of the part; steps and states are the solver's.
+    """
+
+    def __init__(
+        self,
+        instance: Any,
+        description: Any,
+        calls: Calls,
+        *,
+        inputs: int,
+        saves: bool,
+        **experiment: float,
+    ) -> None:
+        n, indicators = description.numberOfContinuousStates, description.numberOfEventIndicators
+        self._held = np.append(nominals_of(instance, n), 1.0), calls
+        self.functions = Functions()
+        getter = "Real" if is_second(description) else "Float64"
+        get_2, get_3 = addresses_of(instance, "Get", getter, is_second(description))
+        self._model = _Model(
+            call=ctypes.pointer(calls.functions),
+            inputs=inputs,
+            get_2=get_2,
+            get_3=get_3,
+            states=n,
+            indicators=indicators,
+            needs_completed_step=description.modelExchange.needsCompletedIntegratorStep,
+            saves=saves,
+            start=experiment["startTime"],
+            stop=experiment["stopTime"],
+            relative_tolerance=experiment["tolerance"],
+            nominals=self._held[0].ctypes.data,
+            steps=ctypes.pointer(self.functions),
+        )
+        self._library = _library(max(n, 1), max(indicators, 1))
+        if self._library.open_model(ctypes.byref(self._model)):
+            raise MemoryError
+
+    def failed_function(self, field: bytes) -> bytes:
+        """Return the field of `Functions` or the words for what has failed in a call."""
+        own = getattr(self.functions, field.decode(), None)
+        replaced = own and own != getattr(self._model.call.contents, field.decode())
+        return (self._model.function if replaced else None) or field
+
+    def close(self) -> None:
+        """Free the solver."""
+        self._library.close_model(ctypes.byref(self.functions))
+
+
+@cached_per_thread(8)
+def _library(states: int, indicators: int) -> ctypes.CDLL:
+    sizes = f"#define NX {states}\n#define NZ {indicators}\n"
+    coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
+    text = sizes + master_source("exchange_part.h") + coefficients
+    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
+    library.open_model.argtypes = [ctypes.POINTER(_Model)]
+    library.close_model.argtypes = [ctypes.POINTER(Functions)]
+    library.close_model.restype = None
+    return library

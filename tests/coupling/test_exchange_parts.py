@@ -1,0 +1,245 @@
+"""Parts for model exchange only: the master integrates them, with every method and their events."""
+
+import math
+import re
+import sys
+
+import numpy as np
+import pytest
+from helpers.exchange_only import WITHOUT_STATE, exchange_only
+from helpers.foreign_part import foreign_part
+from scipy.linalg import expm
+
+import cosim
+from cosim.errors import SolverError, UsageError
+
+TIMES = {"output_interval": 0.05}
+STRAIGHT = [("jacobi", 9e-2), ("gauss_seidel", 3e-2), ("extrapolated", 5e-5), ("iterated", 2e-6)]
+
+
+def oscillator():
+    model = cosim.Model("oscillator")
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    f = model.input("f", "N", 0.0, "force")
+    model.derivative(x, v)
+    model.derivative(v, -4 * x - 0.1 * v + f)
+    model.output("y", "N", 3 * x, "three times x")
+    return model.freeze()
+
+
+def support():
+    model = cosim.Model("support")
+    z, u = model.state("z", "N", 0.0, "force"), model.input("u", "N", 0.0, "load")
+    model.derivative(z, u - z)
+    model.output("w", "N", 0.2 * u - z, "reaction, which feels the load at once")
+    return model.freeze()
+
+
+def exact(times):
+    """x, v, z: w = 0.6 x - z acts on the oscillator."""
+    matrix = np.array([[0, 1, 0], [-3.4, -0.1, -1], [3, 0, -1]])
+    return np.array([expm(matrix * t)[:, 0] for t in times])
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["fmi2", "fmi3"])
+def files(request, tmp_path_factory):
+    """Return what exports a model for model exchange only, once."""
+    folder, known = tmp_path_factory.mktemp("exchange"), {}
+
+    def exported(build, attributes=()):
+        key = build, tuple(attributes)
+        if key not in known:
+            path = folder / f"{build.__name__}.fmu"
+            cosim.export_fmu(build(), path, fmi=request.param)
+            known[key] = exchange_only(path, **dict(attributes))
+        return known[key]
+
+    return exported
+
+
+def coupled(motor, load, **options):
+    wires = {"load.u": "motor.y", "motor.f": "load.w"}
+    return cosim.couple({"motor": motor, "load": load}, wires, stop_time=5, **TIMES, **options)
+
+
+def error_of(run):
+    x, _, z = exact(run.time).T
+    return max(np.abs(run["motor.x"] - x).max(), np.abs(run["load.z"] - z).max())
+
+
+STATES = {"motor.x", "load.z"}
+
+
+@pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
+@pytest.mark.parametrize(("method", "bound"), STRAIGHT)
+def test_every_method_steps_parts_for_model_exchange(method, bound, attributes, files):
+    parts = files(oscillator, attributes.items()), files(support)
+    step = 0.01 if method in ("jacobi", "gauss_seidel") else 0.05
+    run = coupled(*parts).simulate(method=method, macro_step=step, outputs=sorted(STATES))
+    assert error_of(run) < bound  # measured 8.3e-2, 2.5e-2, 4.3e-5, 1.6e-6
+
+
+@pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-9])
+def test_accuracy_is_kept_beside_a_model(accuracy, attributes, files):
+    system = coupled(files(oscillator, attributes.items()), support())
+    run = system.simulate(accuracy=accuracy, outputs=sorted(STATES))
+    assert error_of(run) < accuracy  # measured 6.5e-8 for 1e-6, 6.5e-11 for 1e-9
+    assert run.stats["order"]["motor"] == "cubic inputs, events end macro steps"
+
+
+@pytest.mark.parametrize(
+    ("words", "macro_steps"),
+    [
+        ("no rates", 600),
+        ("no rollback", 600),
+        pytest.param("no interpolation", 700, marks=pytest.mark.slow),
+    ],
+)
+def test_abilities_of_the_master_s_solver_can_be_switched_off(words, macro_steps, files):
+    system = coupled(files(oscillator), support(), abilities={"motor": words})
+    run = system.simulate(accuracy=1e-6, outputs=sorted(STATES))
+    assert error_of(run) < 1e-6  # measured 8.7e-9, 5.9e-8, 5.2e-9
+    assert run.stats["macro_steps"] < macro_steps  # measured 367, 236, 450
+
+
+def test_threads_give_the_same_bits(files):
+    system = coupled(files(oscillator), files(support))
+    runs = [system.simulate(accuracy=1e-6, threads=threads) for threads in (False, True)]
+    assert runs[0].values.tobytes() == runs[1].values.tobytes()
+
+
+def ball():
+    model = cosim.Model("ball")
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(h, v)
+    model.derivative(v, -9.81 + model.input("u", "1", 0.0, "wind"))
+    model.when(h < 0, {v: -0.7 * v}, name="impact")
+    model.output("y", "1", h, "height")
+    return model.freeze()
+
+
+def thermostat():
+    model = cosim.Model("thermostat")
+    u, on = model.input("u", "1", 0.0, "temperature"), model.discrete("on", "1", 1, "heats")
+    model.when(u > 0.6, {on: 0}, name="off")
+    model.when(u < 0.4, {on: 1}, name="on")
+    model.derivative(model.state("q", "1", 0.0, "heat"), on)
+    model.output("y", "1", 1.0 * on, "power")
+    return model.freeze()
+
+
+def sampler():
+    model = cosim.Model("sampler")
+    u, held = model.input("u", "1", 0.0, "temperature"), model.discrete("held", "1", 0, "power")
+    model.every(0.13, {held: 0.8 - u}, name="sample")
+    model.derivative(model.state("q", "1", 0.0, "heat"), held)
+    model.output("y", "1", 1.0 * held, "power")
+    return model.freeze()
+
+
+def room():
+    model = cosim.Model("room")
+    T, u = model.state("T", "1", 0.0, "temperature"), model.input("u", "1", 0.0, "power")
+    model.derivative(T, u - 0.5 * T)
+    model.output("y", "1", T, "temperature")
+    return model.freeze()
+
+
+EVENTS = [(ball, 0.8, 1), (thermostat, 5.0, 8), (sampler, 5.0, 39)]
+WAYS = [
+    {"accuracy": 1e-6},
+    {"macro_step": 0.05},
+    {"method": "extrapolated", "macro_step": 0.05},
+]
+
+
+@pytest.mark.parametrize("way", WAYS, ids=str)
+@pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
+@pytest.mark.parametrize(
+    ("build", "stop", "count"), EVENTS, ids=lambda v: getattr(v, "__name__", "")
+)
+def test_events_of_states_times_and_inputs_end_macro_steps(
+    build, stop, count, attributes, way, files
+):
+    wires = {"room.u": "part.y", "part.u": "room.y"}
+    whole = cosim.couple({"part": build(), "room": room()}, wires, stop_time=stop, **TIMES)
+    wanted = cosim.simulate(whole.dae, relative_tolerance=1e-11, stop_time=stop, **TIMES)
+    parts = {"part": files(build, attributes.items()), "room": files(room)}
+    run = cosim.couple(parts, wires, stop_time=stop, **TIMES).simulate(**way)
+    assert np.abs(run["room.T"] - wanted["room.T"]).max() < 1e-5  # measured 4e-6 at most
+    assert len(run.events) == count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel"])
+@pytest.mark.parametrize(
+    ("build", "stop", "count"), EVENTS, ids=lambda v: getattr(v, "__name__", "")
+)
+def test_events_happen_within_the_steps_of_methods_of_order_1(build, stop, count, method, files):
+    wires = {"room.u": "part.y", "part.u": "room.y"}
+    whole = cosim.couple({"part": build(), "room": room()}, wires, stop_time=stop, **TIMES)
+    wanted = cosim.simulate(whole.dae, stop_time=stop, **TIMES)
+    parts = {"part": files(build), "room": files(room)}
+    system = cosim.couple(parts, wires, stop_time=stop, **TIMES)
+    run = system.simulate(method=method, macro_step=0.001)
+    assert np.abs(run["room.T"] - wanted["room.T"]).max() < 0.03
+    assert len(run.events) == pytest.approx(count, abs=1)
+
+
+def test_discrete_inputs_are_rejected_by_name(tmp_path):
+    model = cosim.Model("lamp")
+    u = model.input("u", "1", 0.0, "switch")
+    model.derivative(model.state("x", "1", 0.0, "state"), u)
+    path = cosim.export_fmu(model.freeze(), tmp_path / "lamp.fmu")
+    path = exchange_only(path, **{'causality="input" variability': "discrete"})
+    system = cosim.couple({"a": path, "room": room()}, {"a.u": "room.y"}, stop_time=1.0)
+    with pytest.raises(UsageError, match=r"part 'a' is for model exchange.*u is not; export it"):
+        system.simulate()
+
+
+def test_event_mode_cannot_be_switched_off(files):
+    system = coupled(files(oscillator), support(), abilities={"motor": "no event mode"})
+    with pytest.raises(UsageError, match="part 'motor' is for model exchange, which always has"):
+        system.simulate()
+
+
+LAGS = {"motor.u": "load.y", "load.u": "motor.y"}
+EVERY_WAY = [{"method": method, "macro_step": 0.01} for method, _ in STRAIGHT]
+EVERY_WAY += [{"method": method, "accuracy": 1e-4} for method in ("extrapolated", "iterated")]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+
+
+@linux
+@pytest.mark.parametrize("way", EVERY_WAY, ids=lambda way: "-".join(map(str, way.values())))
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("return 2", "fmi2GetDerivatives returned 2 (discard)"),
+        ("return 3", "fmi2GetDerivatives returned 3 (error)"),
+        ("return 4", "fmi2GetDerivatives returned 4 (fatal)"),
+        ("return -7", "fmi2GetDerivatives returned -7 (no status of the FMI)"),
+        ("self->x = NAN", "the integration (step size too small, or too many steps) failed"),
+    ],
+)
+def test_part_that_fails_is_named_with_what_it_did(fault, words, way, tmp_path):
+    bad = foreign_part(tmp_path, "lag", interface="ModelExchange", fault=f"if (time > 0.4) {fault}")
+    parts = {"motor": bad, "load": foreign_part(tmp_path, "lag")}
+    system = cosim.couple(parts, LAGS, start_values={"motor.x": 1.0}, stop_time=1.0, **TIMES)
+    with pytest.raises(
+        SolverError, match=rf"part 'motor' failed after .*{re.escape(words)}"
+    ) as caught:
+        system.simulate(**way)
+    assert np.isfinite(caught.value.partial.values).all()
+
+
+@linux
+@pytest.mark.parametrize("state", ["true", "false"])
+def test_foreign_part_steps_once_if_nothing_takes_it_back(state, tmp_path):
+    """Without states that are saved, a part that wants to know each step cannot go back."""
+    part = foreign_part(tmp_path, "lag", interface="ModelExchange", canGetAndSetFMUstate=state)
+    parts = {"motor": part, "load": foreign_part(tmp_path, "lag")}
+    system = cosim.couple(parts, LAGS, start_values={"motor.x": 1.0}, stop_time=1.0, **TIMES)
+    run = system.simulate(accuracy=1e-4)
+    assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-6)
+    assert ("motor cannot restore a state" in run.stats.get("note", "")) == (state == "false")
