@@ -64,124 +64,184 @@ static inline int is_stiff(Problem *self, const Accepted *step) {
     return 0;
 }
 
-/* Integrates x over the grid; `out` takes a column per output time. Returns one of the codes. */
-static inline int integrate_adaptive(Problem *self, const Grid *grid, double *out, double *z,
-                                     Course *course) {
-    const Ode ode = {problem_slope, problem_scale, self};
+/* A run on its way over a grid, from t on; `after` is where the present step ends. */
+typedef struct {
+    Problem *problem;
+    const Grid *grid;
+    Course *course;
+    Watch *watch; /* NULL without relations */
+    Ode ode;
+    double *x, end[NX], t, after, h, error;
     Slopes k;
-    double x[NX], end[NX], t = grid->times[0];
-    Watch *watch = MODES > 0 ? self->watch : NULL;
-    Accepted accepted = {&ode, x, end, k, t, 0, {0, 0, {{0}}}, 0, 0};
-    const double stop = grid->times[grid->points - 1];
-    Step step = {.watch = watch,
-                 .known = stop,
-                 .motion = &accepted,
-                 .within = within_accepted,
-                 .step_to = step_afresh,
-                 .slopes = (const double (*)[NX])k,
-                 .stages = END + 1,
-                 .looked = grid->times};
-    Place here, ahead;
-    long long next = 1, trials = 0;
-    int rejected = 0;
-    memcpy(x, out, sizeof x);
-    if (equations_at(self, t, x, k[0], z) || !is_finite(k[0])) return NOT_FINITE;
-    if (watch && look_afresh(watch, t, x, k[END], &here)) return NOT_FINITE;
-    double h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
-    while (next < grid->points) {
-        course->reached = t;
-        course->last = h;
-        if (halted) return HALTED;
-        if (++trials > MOST_STEPS) return TOO_MANY_STEPS;
-        if (watch && stop - t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
-            memcpy(out + next * NX, x, sizeof x);
-            if (z && equations_at(self, stop, x, k[1], z + next * NZ)) return NOT_FINITE;
-            ++course->passed;
-            ++next;
-            continue;
-        }
-        if (0.1 * h <= fabs(t) * DBL_EPSILON || h < 1e-18 * (stop - grid->times[0]))
-            return STEP_TOO_SMALL;
-        const int final = t + 1.01 * h >= stop;
-        if (final) h = stop - t;
-        const int lost = stages(&ode, t, h, x, k, end);
-        const double error = lost ? NAN : error_of(&ode, h, x, end, k);
-        double after = final ? stop : t + h;
-        if (!(error <= 1) || restore(self, after, end) || slope(&ode, after, end, k[END]) ||
-            !is_finite(k[END])) {
-            h *= error > 1 ? growth(error, rejected) : 0.1;
-            rejected = 1;
-            continue;
-        }
-        ++self->steps;
-        accepted.t = t;
-        accepted.h = h;
-        accepted.known = 0;
-        if (is_stiff(self, &accepted)) return STIFF;
-        Crossing crossing = {after, -1, after};
-        if (watch) {
-            double z_end[NZ + 1];
-            step.t = t;
-            step.h = after - t;
-            if ((NZ > 0 && equations_at(self, after, end, k[END], z_end)) ||
-                look(watch, after, end, z_end, k[END], &ahead))
-                return NOT_FINITE;
-            if (crossing_of(&step, x, grid->times + next, out + next * NX, &here, &ahead,
-                            &crossing))
-                return NOT_FINITE;
-            if (crossing.relation >= 0 && !(accepted.error <= 1)) {
-                h = (crossing.time - t) * growth(accepted.error, 1); /* a change was stepped over */
-                rejected = 1;
-                --self->steps;
-                continue;
-            }
-            if (crossing.relation < 0) let_go(watch, after, end);
-            after = crossing.time;
-            here = ahead;
-        }
-        const int crossed = crossing.relation >= 0;
-        if (grid->times[next] < after && interpolated(&accepted)) return NOT_FINITE;
-        for (; next < grid->points && grid->times[next] <= after; ++next, trials = 0) {
-            if (crossed && grid->times[next] == after) break;
-            double *column = out + next * NX;
-            if (grid->times[next] < after) {
-                if (grid->times + next >= step.looked)
-                    evaluate(&accepted.piece, grid->times[next], column);
-                if (restore(self, grid->times[next], column) || !is_finite(column))
-                    return NOT_FINITE;
-            } else {
-                memcpy(column, end, sizeof end);
-            }
-            if (z && equations_at(self, grid->times[next], column, k[1], z + next * NZ))
-                return NOT_FINITE;
-            ++course->passed;
-        }
-        if (crossed) {
-            double *column = out + next * NX, *unknowns = z ? z + next * NZ : NULL;
-            course->reached = after;
-            if (pass_event(watch, &crossing, step.fresh))
-                return ends_run(watch, &crossing, step.fresh, column, unknowns);
-            t = after;
-            rejected = 0;
-            memcpy(x, step.fresh, sizeof x);
-            if (equations_at(self, t, x, k[0], NULL) || !is_finite(k[0]) ||
-                look_afresh(watch, t, x, k[END], &here))
-                return NOT_FINITE;
-            h = fmin(first_step(&ode, t, stop - t, x, k), grid->largest);
-            if (grid->times[next] > t) continue;
-            memcpy(column, x, sizeof x);
-            if (unknowns) memcpy(unknowns, self->z, NZ * sizeof *unknowns);
-            ++course->passed;
-            ++next;
-            continue;
-        }
-        memcpy(x, end, sizeof x);
-        memcpy(k[0], k[END], sizeof k[0]);
-        t = after;
-        h = fmin(h * growth(error, rejected), grid->largest);
-        rejected = 0;
+    Accepted accepted;
+    Step step;
+    Place here, ahead; /* relations at t, and at the end of the step */
+    long long next;    /* output time to be written */
+    long long trials;  /* since the last one */
+    int rejected;      /* whether the last step was */
+} Adaptive;
+
+/* Prepares the first step from the present state; its unknowns are written unless NULL. */
+static inline int begin_steps(Adaptive *self, double *unknowns) {
+    double *const slope_at = self->k[0];
+    if (equations_at(self->problem, self->t, self->x, slope_at, unknowns) || !is_finite(slope_at))
+        return NOT_FINITE;
+    if (self->watch && look_afresh(self->watch, self->t, self->x, self->k[END], &self->here))
+        return NOT_FINITE;
+    const double first =
+        first_step(&self->ode, self->t, self->grid->end - self->t, self->x, self->k);
+    self->h = fmin(first, self->grid->largest);
+    self->rejected = 0;
+    return SUCCESS;
+}
+
+/* Makes a step of the present size, or to the end. Returns whether its error is small enough; if
+ * not, the size is that of the next trial. */
+static inline int propose(Adaptive *self) {
+    Problem *problem = self->problem;
+    double *const end = self->end, stop = self->grid->end;
+    const int final = self->t + 1.01 * self->h >= stop;
+    if (final) self->h = stop - self->t;
+    const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
+    self->error = lost ? NAN : error_of(&self->ode, self->h, self->x, end, self->k);
+    self->after = final ? stop : self->t + self->h;
+    if (!(self->error <= 1) || restore(problem, self->after, end) ||
+        slope(&self->ode, self->after, end, self->k[END]) || !is_finite(self->k[END])) {
+        self->h *= self->error > 1 ? growth(self->error, self->rejected) : 0.1;
+        self->rejected = 1;
+        return 0;
     }
-    course->reached = t;
+    ++problem->steps;
+    self->accepted.t = self->t;
+    self->accepted.h = self->h;
+    self->accepted.known = 0;
+    return 1;
+}
+
+/* Finds the first crossing in the accepted step, which then ends there. */
+static inline int find_event(Adaptive *self, Crossing *found) {
+    Watch *watch = self->watch;
+    double z[NZ + 1];
+    self->step.t = self->t;
+    self->step.h = self->after - self->t;
+    if ((NZ > 0 && equations_at(self->problem, self->after, self->end, self->k[END], z)) ||
+        look(watch, self->after, self->end, z, self->k[END], &self->ahead) ||
+        crossing_of(&self->step, self->x, self->grid->times + self->next,
+                    self->grid->states + self->next * NX, &self->here, &self->ahead, found))
+        return NOT_FINITE;
+    return SUCCESS;
+}
+
+/* A fresh step to a crossing is not accurate enough: the step has passed over a change. */
+static inline void shorten(Adaptive *self, const Crossing *crossing) {
+    self->h = (crossing->time - self->t) * growth(self->accepted.error, 1);
+    self->rejected = 1;
+    --self->problem->steps;
+}
+
+/* Writes the output times up to the end of the step; one at a crossing follows the event. */
+static inline int write_rows(Adaptive *self, bool crossed) {
+    const Grid *grid = self->grid;
+    const double after = self->after;
+    const long long first = self->next;
+    if (first < grid->points && grid->times[first] < after && interpolated(&self->accepted))
+        return NOT_FINITE;
+    for (; self->next < grid->points && grid->times[self->next] <= after; ++self->next) {
+        const double t = grid->times[self->next];
+        double *const column = grid->states + self->next * NX;
+        if (crossed && t == after) break;
+        if (t < after) {
+            if (grid->times + self->next >= self->step.looked)
+                evaluate(&self->accepted.piece, t, column);
+            if (restore(self->problem, t, column) || !is_finite(column)) return NOT_FINITE;
+        }
+        if (write_column(self->problem, grid, self->next, t < after ? column : self->end,
+                         self->course))
+            return NOT_FINITE;
+        self->trials = 0;
+    }
+    return SUCCESS;
+}
+
+/* Goes on after the event at a crossing, or ends the run there. */
+static inline int cross(Adaptive *self, const Crossing *crossing) {
+    const Grid *grid = self->grid;
+    double *const fresh = self->step.fresh;
+    self->course->reached = self->after;
+    if (pass_event(self->watch, crossing, fresh, false))
+        return ends_run(self->watch, crossing, fresh, self->x);
+    self->t = self->after;
+    memcpy(self->x, fresh, NX * sizeof *fresh);
+    if (begin_steps(self, NULL)) return NOT_FINITE;
+    if (self->next < grid->points && grid->times[self->next] <= self->t)
+        write_event(self->problem, grid, self->next++, self->x, self->course);
+    return SUCCESS;
+}
+
+/* Goes on from the end of the step. */
+static inline void move_on(Adaptive *self) {
+    memcpy(self->x, self->end, sizeof self->end);
+    memcpy(self->k[0], self->k[END], sizeof self->k[0]);
+    self->t = self->after;
+    self->h = fmin(self->h * growth(self->error, self->rejected), self->grid->largest);
+    self->rejected = 0;
+}
+
+/* Integrates x over the grid. Returns one of the codes. */
+static inline int integrate_adaptive(Problem *problem, const Grid *grid, double *x,
+                                     Course *course) {
+    Adaptive self = {.problem = problem,
+                     .grid = grid,
+                     .course = course,
+                     .watch = MODES > 0 ? problem->watch : NULL,
+                     .ode = {problem_slope, problem_scale, problem},
+                     .x = x,
+                     .t = grid->begin};
+    Watch *watch = self.watch;
+    const double stop = grid->end;
+    self.accepted = (Accepted){.ode = &self.ode, .x = x, .end = self.end, .k = self.k};
+    self.step = (Step){.watch = watch,
+                       .known = stop,
+                       .motion = &self.accepted,
+                       .within = within_accepted,
+                       .step_to = step_afresh,
+                       .slopes = (const double (*)[NX])self.k,
+                       .stages = END + 1,
+                       .looked = grid->times};
+    if (begin_steps(&self, grid->first)) return NOT_FINITE;
+    while (self.t < stop) {
+        course->reached = self.t;
+        course->last = self.h;
+        if (halted) return HALTED;
+        if (++self.trials > MOST_STEPS) return TOO_MANY_STEPS;
+        if (watch && stop - self.t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
+            while (self.next < grid->points)
+                if (write_column(problem, grid, self.next++, x, course)) return NOT_FINITE;
+            break;
+        }
+        if (0.1 * self.h <= fabs(self.t) * DBL_EPSILON || self.h < 1e-18 * (stop - grid->begin))
+            return STEP_TOO_SMALL;
+        if (!propose(&self)) continue;
+        if (is_stiff(problem, &self.accepted)) return STIFF;
+        Crossing crossing = {self.after, -1, self.after};
+        if (watch && find_event(&self, &crossing)) return NOT_FINITE;
+        const bool crossed = crossing.relation >= 0;
+        if (crossed && !(self.accepted.error <= 1)) {
+            shorten(&self, &crossing);
+            continue;
+        }
+        if (watch && !crossed) let_go(watch, self.after, self.end);
+        self.after = crossing.time;
+        if (watch) self.here = self.ahead;
+        if (write_rows(&self, crossed)) return NOT_FINITE;
+        if (!crossed) {
+            move_on(&self);
+            continue;
+        }
+        const int code = cross(&self, &crossing);
+        if (code != SUCCESS) return code;
+    }
+    course->reached = stop;
     return SUCCESS;
 }
 

@@ -20,10 +20,12 @@
 typedef struct {
     Equations *rhs, *project, *watch;
     WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function */
-    int (*integrate)(Problem *self, const Grid *grid, double *out, double *z, Course *course);
+    int (*integrate)(Problem *self, const Grid *grid, double *x, Course *course);
 } Solver;
 
 static const Solver solver;
+
+#include "timed.h"
 
 enum { REPORT = 9 };
 
@@ -38,18 +40,20 @@ SHARED void cosim_report(double *out) {
 
 static _Thread_local double *first_record, *switching;
 static _Thread_local const double *sizes_of_states;
+static _Thread_local double end_of_run;
 static _Thread_local long long room;
 static _Thread_local int leaves_stiff;
 
 /* Where the thread's next runs record the events that they go through, and how many fit in there;
- * what past events have left; sizes of the states, in whose rounding an argument is 0; whether the
- * runs end where they are found to be stiff. */
+ * what past events have left; sizes of the states, in whose rounding an argument is 0; the time up
+ * to which time events are planned; whether the runs end where they are found to be stiff. */
 SHARED void cosim_prepare(double *rows, long long count, double *left, const double *sizes,
-                          int leaves) {
+                          double end, int leaves) {
     first_record = rows;
     room = count;
     switching = left;
     sizes_of_states = sizes;
+    end_of_run = end;
     leaves_stiff = leaves;
 }
 
@@ -119,18 +123,28 @@ static inline long long next_break(const Schedule *self, long long begin) {
 }
 
 /* Integrates from break to break. What the unknowns were before one is kept. */
-static inline int integrate_pieces(Problem *self, const Schedule *schedule, double largest,
-                                   double *out, double *z, Course *course) {
-    double before[NZ + 1] = {0};
+static inline int integrate_pieces(Problem *self, Watch *watch, const Schedule *schedule,
+                                   double largest, double *out, double *z, Course *course) {
+    double x[NX];
+    memcpy(x, out, sizeof x);
     for (long long begin = 0, end; begin < schedule->points - 1; begin = end) {
         end = next_break(schedule, begin);
-        const Grid grid = {schedule->times + begin, end - begin + 1, largest};
-        double *const own = z ? z + begin * NZ : NULL;
-        if (own) memcpy(before, own, NZ * sizeof *before);
+        const Grid grid = {.begin = schedule->times[begin],
+                           .end = schedule->times[end],
+                           .times = schedule->times + begin + 1,
+                           .points = end - begin,
+                           .first = begin == 0 ? z : NULL,
+                           .states = out + (begin + 1) * NX,
+                           .unknowns = z ? z + (begin + 1) * NZ : NULL,
+                           .largest = largest};
         if (schedule->columns > 1)
             memcpy(self->u, inputs_to(schedule, begin + 1), NU * sizeof *self->u);
-        const int code = solver.integrate(self, &grid, out + begin * NX, own, course);
-        if (own && begin) memcpy(own, before, NZ * sizeof *before);
+        const int code = integrate_timed(self, watch, &grid, x, course);
+        if (code == EVENT) { /* the state there follows the output times that were passed */
+            double dx[NX], *const unknowns = z ? z + course->passed * NZ : NULL;
+            memcpy(out + course->passed * NX, x, sizeof x);
+            if (unknowns && equations_at(self, course->reached, x, dx, unknowns)) return NOT_FINITE;
+        }
         if (code != SUCCESS) return code;
     }
     return SUCCESS;
@@ -160,14 +174,17 @@ SHARED int run(const double **arg, double **res, long long *iw, double *w, int m
         .switching = (Switching *)(void *)switching,
         .records = first_record,
         .last_record = schedule.columns > 1 ? first_record : first_record + room * RECORD,
+        .until = end_of_run,
     };
     link_to_model(&problem, &watch, sizes_of_states, arg, res, iw, w);
-    if (solver.watch && switching) problem.watch = &watch;
+    Watch *const events = solver.watch && switching ? &watch : NULL;
+    if (events && has_states(&watch.laws)) problem.watch = events;
     memcpy(z, arg[1] ? arg[1] : none, NZ * sizeof *z);
     memcpy(u, schedule.u, NU * sizeof *u);
     Course course = {times[0], 0, 1};
     memcpy(res[0], x0, NX * sizeof *x0);
-    const int code = integrate_pieces(&problem, &schedule, settings[5], res[0], res[1], &course);
+    const int code =
+        integrate_pieces(&problem, events, &schedule, settings[5], res[0], res[1], &course);
     const long long recorded = (watch.records - first_record) / RECORD;
     const double seen[REPORT] = {(double)problem.steps,
                                  (double)problem.calls,

@@ -57,28 +57,28 @@ static inline int step_shorter(void *made, double t, double *x) {
            restore(self->problem, t, x);
 }
 
-static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, double *z,
-                                  Course *course) {
-    double k[MOST_STAGES][NX], x[NX], slope_ahead[NX];
+/* Integrates x over the grid. Returns one of the codes. */
+static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Course *course) {
+    double k[MOST_STAGES][NX], slope_ahead[NX];
     Watch *watch = MODES > 0 ? self->watch : NULL;
     Made made = {.problem = self, .end = x, .slope_at_end = slope_ahead};
     Place here, ahead;
-    memcpy(x, out, sizeof x);
-    if (z && equations_at(self, grid->times[0], x, k[0], z)) return NOT_FINITE;
-    if (watch && look_afresh(watch, grid->times[0], x, made.slope, &here)) return NOT_FINITE;
-    double begin = grid->times[0];
-    for (long long next = 1; next < grid->points;) {
-        const double length = grid->times[next] - begin;
+    double begin = grid->begin;
+    if (grid->first && equations_at(self, begin, x, k[0], grid->first)) return NOT_FINITE;
+    if (watch && look_afresh(watch, begin, x, made.slope, &here)) return NOT_FINITE;
+    for (long long next = 0; next < grid->points || begin < grid->end;) {
+        const bool written = next < grid->points;
+        const double goal = written ? grid->times[next] : grid->end, length = goal - begin;
         const double parts = fmax(1, ceil(length / grid->largest * (1 - 1e-12)));
         const double h = length / parts;
         int passed = 0;
         course->last = h;
         for (double part = 0; part < parts && !passed; ++part) {
-            const double t = begin + part * h, end = part + 1 < parts ? t + h : grid->times[next];
+            const double t = begin + part * h, end = part + 1 < parts ? t + h : goal;
             course->reached = t;
             if (halted) return HALTED;
             if (watch) {
-                memcpy(made.x, x, sizeof x);
+                memcpy(made.x, x, sizeof made.x);
                 memcpy(k[0], made.slope, sizeof made.slope);
             }
             if (step_of_method(self, t, h, watch != NULL, k, x) || restore(self, end, x))
@@ -91,24 +91,23 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             Step step = {.watch = watch,
                          .t = t,
                          .h = made.h,
-                         .known = grid->times[grid->points - 1],
+                         .known = grid->end,
                          .motion = &made,
                          .within = within_made,
                          .step_to = step_shorter,
                          .slopes = (const double (*)[NX])k,
                          .stages = method.stages};
             Crossing crossing;
-            if (crossing_of(&step, made.x, grid->times + next, out + next * NX, &here, &ahead,
-                            &crossing))
+            if (crossing_of(&step, made.x, grid->times + next, grid->states + next * NX, &here,
+                            &ahead, &crossing))
                 return NOT_FINITE;
             if (crossing.relation >= 0) {
                 course->reached = crossing.time;
-                if (pass_event(watch, &crossing, step.fresh))
-                    return ends_run(watch, &crossing, step.fresh, out + next * NX,
-                                    z ? z + next * NZ : NULL);
+                if (pass_event(watch, &crossing, step.fresh, false))
+                    return ends_run(watch, &crossing, step.fresh, x);
                 passed = 1;
                 begin = crossing.time;
-                memcpy(x, step.fresh, sizeof x);
+                memcpy(x, step.fresh, sizeof made.x);
                 if (look_afresh(watch, begin, x, made.slope, &here)) return NOT_FINITE;
                 continue;
             }
@@ -117,14 +116,11 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *out, 
             here = ahead;
         }
         if (!is_finite(x)) return NOT_FINITE;
-        if (passed && grid->times[next] > begin) continue;
-        begin = grid->times[next];
-        memcpy(out + next * NX, x, sizeof x);
-        if (z && equations_at(self, begin, x, k[0], z + next * NZ)) return NOT_FINITE;
-        ++course->passed;
-        ++next;
+        if (passed && goal > begin) continue;
+        begin = goal;
+        if (written && write_column(self, grid, next++, x, course)) return NOT_FINITE;
     }
-    course->reached = grid->times[grid->points - 1];
+    course->reached = grid->end;
     return SUCCESS;
 }
 

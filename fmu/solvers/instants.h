@@ -103,11 +103,17 @@ SHARED void cosim_happen(Call *call, long long crossing) {
     for (int k = 0; k < found.count; k++) call->order[found.happened[k]] = 1 + k;
 }
 
-/* The next time event after the present time, up to the end of the run. */
-SHARED double cosim_plan(Call *call, double end) {
+/* Plans time events after the present time, up to the end of the run. */
+SHARED void cosim_plan(Call *call, double end) {
     Kernel self;
     open_kernel(&self, call);
     plan(&self.laws, self.switching, &self.at, call->t, end, true, NEVER_AGAIN);
+}
+
+/* The next of them. */
+SHARED double cosim_due(const Call *call, double end) {
+    Kernel self;
+    open_kernel(&self, call);
     return next_until(self.switching, end);
 }
 

@@ -3,6 +3,7 @@
 #define PROBLEM_H
 
 #include <stddef.h>
+#include <string.h>
 
 #include "ode.h"
 
@@ -55,10 +56,15 @@ static inline double problem_scale(const void *problem, int i, double x) {
     return self->absolute * self->nominal[i] + self->relative * fabs(x);
 }
 
-/* The output times, and the longest step. */
+/* From a time to another, the output times after the one and up to the other, which take a column
+ * each (unknowns: NULL where they are not wanted), and the longest step. After the last of these
+ * times follows another one, unless it is the end. */
 typedef struct {
+    double begin, end;
     const double *times;
     long long points;
+    double *first; /* takes the unknowns at the begin; NULL where they are not wanted */
+    double *states, *unknowns;
     double largest;
 } Grid;
 
@@ -67,5 +73,22 @@ typedef struct {
     double reached, last;
     long long passed;
 } Course;
+
+/* Writes a state, and the unknowns that follow from it, as the columns of an output time. */
+static inline int write_column(Problem *self, const Grid *grid, long long k, const double *x,
+                               Course *course) {
+    double dx[NX], *const column = grid->states + k * NX;
+    if (column != x) memcpy(column, x, sizeof dx);
+    ++course->passed;
+    return grid->unknowns && equations_at(self, grid->times[k], x, dx, grid->unknowns + k * NZ);
+}
+
+/* The same at an event, after which the unknowns are known. */
+static inline void write_event(const Problem *self, const Grid *grid, long long k, const double *x,
+                               Course *course) {
+    memcpy(grid->states + k * NX, x, NX * sizeof *x);
+    if (grid->unknowns) memcpy(grid->unknowns + k * NZ, self->z, NZ * sizeof *self->z);
+    ++course->passed;
+}
 
 #endif

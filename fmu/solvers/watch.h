@@ -22,6 +22,7 @@ typedef struct {
     Switching *switching;
     double *records, *last_record; /* where the next event is written, and where room ends */
     int relation;                  /* which one ended the run; -1: none */
+    double until;                  /* end of the run, up to which time events are planned */
 } Watch;
 
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
@@ -36,6 +37,13 @@ typedef struct {
     const double *looked; /* the output times before it have been looked at */
     double fresh[NX];     /* the state at the end of the last fresh step */
 } Step;
+
+/* Whether any relation is not of time alone. */
+static inline bool has_states(const Laws *laws) {
+    for (int i = 0; i < MODES; ++i)
+        if (!laws->relations[i].of_time) return true;
+    return false;
+}
 
 static inline int relations_at(const Watch *self, double t, const double *x, double *z,
                                const double *dx, Seen *seen, double *modes, double *towards) {
@@ -238,10 +246,11 @@ static inline void record_event(Watch *self, const Point *before, const Point *a
     self->records = end;
 }
 
-/* Goes through the event at a crossing: x becomes the state after it, and what was before and after
- * is recorded. Returns 0 where the run goes on from there; otherwise all is as before, and the
- * caller of the run has to go on: where relations slide, time events change, or the run ends. */
-static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
+/* Goes through the event at a crossing, or one of time (relation -1): x becomes the state after it,
+ * and what was before and after is recorded. Returns 0 where the run goes on from there; otherwise
+ * all is as before, and the caller has to go on: where relations slide, the run ends, or, unless
+ * `plans`, time events change. */
+static inline int pass_event(Watch *self, const Crossing *crossing, double *x, bool plans) {
     Problem *problem = self->problem;
     double state[NX], z[NZ + 1], u[NU + 1];
     const bool later[MODES + 1] = {0};
@@ -255,7 +264,7 @@ static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
     memcpy(z, problem->z, NZ * sizeof *z);
     memcpy(u, problem->u, NU * sizeof *u);
     happen(&self->laws, self->switching, &at, x, crossing->relation, later, NULL, &found, &replan);
-    if (found.ending.reason != GOES_ON || replan || is_sliding(self->switching)) {
+    if (found.ending.reason != GOES_ON || (replan && !plans) || is_sliding(self->switching)) {
         *self->switching = saved;
         memcpy(x, state, sizeof state);
         memcpy(problem->z, z, NZ * sizeof *z);
@@ -263,15 +272,13 @@ static inline int pass_event(Watch *self, const Crossing *crossing, double *x) {
         return 1;
     }
     record_event(self, &before, &at, &found);
+    if (replan) plan(&self->laws, self->switching, &at, at.t, self->until, true, NEVER_AGAIN);
     return 0;
 }
 
-/* Writes the state at a crossing after the last output time that was passed. */
-static inline int ends_run(Watch *self, const Crossing *crossing, const double *x, double *out,
-                           double *z) {
-    double dx[NX];
-    memcpy(out, x, NX * sizeof *x);
-    if (z && equations_at(self->problem, crossing->time, x, dx, z)) return NOT_FINITE;
+/* Ends a run at a crossing, with the state there. */
+static inline int ends_run(Watch *self, const Crossing *crossing, const double *fresh, double *x) {
+    memcpy(x, fresh, NX * sizeof *x);
     self->relation = crossing->relation;
     return EVENT;
 }

@@ -18,7 +18,7 @@ from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
 from cosim.text import Ending, EndKind
 
-_ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
+_ROOM_FOREVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
 class Counts(NamedTuple):
@@ -92,7 +92,7 @@ class EngineFunctions(NamedTuple):
     parameters: ca.Function | None = None
 
 
-Crossing = tuple[float, int]  # a time, and the relation that leaves its mode there
+Crossing = tuple[float, int]  # a time, and the relation that leaves its mode there; -1 of time
 
 
 class Filled(NamedTuple):
@@ -123,7 +123,7 @@ def event_type(system: Hybrid) -> np.dtype[np.void]:
 def room_for_events(system: Hybrid) -> NDArray[np.void]:
     """Return an array for the events that one call of a solver goes through."""
     record = event_type(system)
-    return np.empty(1 + _ROOM_FOR_EVENTS // record.itemsize, record)
+    return np.empty(1 + _ROOM_FOREVENTS // record.itemsize, record)
 
 
 class Left(NamedTuple):
@@ -132,10 +132,12 @@ class Left(NamedTuple):
     Attributes:
         switching: `Switching` of the kernel of events, which these events change.
         sizes: Sizes of the states, in whose rounding an argument is 0, (nx,).
+        end: End of the run, up to which time events are planned, s.
     """
 
     switching: Vector
     sizes: Vector
+    end: float
 
 
 # (x0, z0, p, u, states, algebraics, what past events have left)
@@ -159,7 +161,8 @@ class Engine:
         direct: Does the same on arrays without CasADi; None if not available. It prints nothing,
             and does not write the output times that it does not reach.
         time_unit: Unit of the times in the solver's messages, s.
-        watches: Whether it ends a run where a relation leaves its mode.
+        watches: Whether it goes through events, and ends a run at those of which only the caller
+            knows what follows.
     """
 
     make: Callable[[], EngineFunctions]
@@ -206,7 +209,7 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
         library.cosim_report(numbers)
         steps, rhs, jacobians, status, reached, last, *_ = numbers
         cause = Ending()
-        if status not in (0, _EVENT):
+        if status not in (0, EVENT):
             why = CAUSES.get(int(status), "it gave up")
             kind = _KINDS.get(int(status), EndKind.FAILED)
             place = f"t = {start + length * reached:g}, h = {length * last:.2g}"
@@ -216,7 +219,7 @@ def reported(library: ctypes.CDLL, start: float, length: float) -> Callable[[], 
     return counts
 
 
-_EVENT = 6  # status of a run that ended where a relation leaves its mode
+EVENT = 6  # status of a run that ended where a relation leaves its mode
 _KINDS = {1: EndKind.TOO_MANY_STEPS, 7: EndKind.STIFF}
 CAUSES = {  # by code of fmu/solvers
     1: "too many steps",

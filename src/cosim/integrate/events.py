@@ -143,6 +143,8 @@ class _Course:
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
         watches = not system.relations or (problem.compiled and solver.watches)
+        # where an input rests is found from the states that the last event has left
+        self.passes_time = watches and not (self.series and system.resting)
         self.window = len(self.grid) if watches else _FIRST_WINDOW
         self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
         self.stop, self.slides, self.looks = "", False, 1  # looks per grid interval
@@ -152,7 +154,6 @@ class _Course:
             Instant(t, start.x, start.z, start.values.u, start.values.u, modes)
         )
         self.kernel: Kernel | None = None
-        self.due = np.inf  # the next time event
         if system.relations or system.events:
             self._begin()
         self._write(self.at.t)
@@ -162,7 +163,7 @@ class _Course:
         """Find the modes of the start, and let all happen that happens there."""
         span = float(self.grid[-1] - self.grid[0])
         sizes = own_sizes(self.system.dae, self.began)
-        self.kernel = Kernel(self.system, self.values.p, sizes, span)
+        self.kernel = Kernel(self.system, self.values.p, sizes, span, float(self.grid[-1]))
         at = self.at
         ending = self.kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes)
         if ending.reason is Reason.STOPPED:
@@ -232,10 +233,7 @@ class _Course:
             Why the solver stopped early; empty if it did not.
         """
         at, grid = self.at, self.grid
-        due = self.due
-        row = float(grid[grid.searchsorted(due) - 1])
-        if at.t < row and due - row <= 8 * np.spacing(abs(row)):
-            due = row  # only rounding is between them
+        due = np.inf if self.passes_time else self._next_due()
         series = self._followed()
         ends = series.breaks if series else np.empty(0), self.pulses
         later = (times[times.searchsorted(at.t, "right") :] for times in ends)
@@ -267,7 +265,7 @@ class _Course:
         piece.let_go()
         self.window *= 2
         arrived = replace(piece.at_end(), t=end)
-        if end in (due, jump, rest):
+        if end in (self._next_due(), jump, rest):
             following = self._with_inputs(arrived) if end in (jump, rest) else arrived
             self._switch(following)
         elif last_event := located_at_end(piece):
@@ -276,6 +274,12 @@ class _Course:
             self.at = self._with_inputs(arrived)
             self._write(end)
         return Ending()
+
+    def _next_due(self) -> float:
+        """Return the next time event, s; an output time, if only rounding is between them."""
+        due = np.inf if self.kernel is None else self.kernel.due
+        row = float(self.grid[self.grid.searchsorted(due) - 1])
+        return row if self.at.t < row and due - row <= 8 * np.spacing(abs(row)) else due
 
     def _next_rest(self, series: InputSeries | None, end: float) -> float:
         """Return when an input comes to rest where a relation of inputs is 0, s, before an end.
@@ -368,10 +372,9 @@ class _Course:
         reject(self.system, self.at.t, ending, names or "an event")
 
     def _plan(self) -> None:
-        """Find the next time event."""
+        """Plan time events."""
         assert self.kernel is not None
-        end = float(self.grid[-1])
-        self.due = self.kernel.plan(self.at.t, self.at.inputs, end)
+        self.kernel.plan(self.at.t, self.at.inputs)
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""

@@ -151,7 +151,7 @@ class Switching:
 def _library(system: Hybrid) -> tuple[ctypes.CDLL, int]:
     """Return the library of a model, and how many numbers its `Switching` has."""
     library = ctypes.CDLL(kernel_library(system))
-    library.cosim_plan.restype = _DOUBLE
+    library.cosim_due.restype = _DOUBLE
     sizes = (_LONG * 8)()
     library.cosim_kernel_sizes(sizes)
     dae = system.dae
@@ -170,13 +170,18 @@ class Kernel:
         p: Parameters, SI.
         sizes: Sizes of the states, in whose rounding an argument is 0, (nx,).
         span: Length of the run, s.
+        end: Its end, up to which time events are planned, s.
 
     Raises:
         MissingTool, UsageError: See `kernel_library`.
     """
 
-    def __init__(self, system: Hybrid, p: Vector, sizes: Vector, span: float) -> None:
-        self.system, self.span = system, span
+    def __init__(
+        self, system: Hybrid, p: Vector, sizes: Vector, span: float, end: float = np.inf
+    ) -> None:
+        self.system = system
+        self.span = span
+        self._end = _DOUBLE(end)
         self._library, count = _library(system)
         dae, m = system.dae, len(system.relations)
         self._arrays = {
@@ -271,24 +276,28 @@ class Kernel:
     @property
     def left(self) -> Left:
         """What past events have left, for an engine."""
-        return Left(self.switching.numbers, self._arrays["sizes"])
+        return Left(self.switching.numbers, self._arrays["sizes"], self._end.value)
 
     def after(self, at: Instant) -> Instant:
         """Return what an instant has become by the last call."""
         x, z, u = self.values
         return replace(at, x=x, z=z, modes=u[len(at.u) :], sliding=self.switching.sliding)
 
-    def plan(self, t: float, u: Vector, end: float) -> float:
-        """Return the next time event of a run, s; infinite if there is none.
+    def plan(self, t: float, u: Vector) -> None:
+        """Plan the time events that follow.
 
         Args:
             t: The present time, s.
             u: Inputs with modes.
-            end: End of the run, s.
         """
         self._call.t = t
         self._arrays["u"][:-1] = u
-        due: float = self._library.cosim_plan(ctypes.byref(self._call), _DOUBLE(end))
+        self._library.cosim_plan(ctypes.byref(self._call), self._end)
+
+    @property
+    def due(self) -> float:
+        """The next time event of the run, s; infinite if there is none."""
+        due: float = self._library.cosim_due(ctypes.byref(self._call), self._end)
         return due
 
     def margins(self, arguments: Vector, rates: Vector, modes: Vector) -> tuple[Vector, Vector]:

@@ -14,7 +14,7 @@ from cosim.codegen.functions import equations
 from cosim.errors import SolverError
 from cosim.integrate.call import Reached
 from cosim.integrate.engine import Counts, Problem
-from cosim.integrate.kernel import Kernel, Rows
+from cosim.integrate.kernel import Kernel, Rows, State
 from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
@@ -119,11 +119,11 @@ class Piece:
         left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start, in_pieces=True)
+        if self.kernel is not None and found.events is None:
+            self.kernel.note_steps(found.counts.steps or 0)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
-            if self.kernel is not None:
-                self.kernel.note_steps(found.counts.steps or 0)
         return found
 
     def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
@@ -222,7 +222,9 @@ class Piece:
 
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
-        if self.kernel is not None and len(self.times) > 1:
+        if self.kernel is None or len(self.times) < 2:
+            return
+        if (self.kernel.switching.states == State.LEAVES).any():
             self.kernel.note_inside(self.begin.modes, self.seen.arguments[-1])
 
     def interpolated(self, k: int, shares: Vector) -> Watched:
@@ -310,10 +312,10 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         piece: The motion.
         closely: Whether the solver, not the cubic, shows how near a relation comes and returns.
     """
-    if not piece.system.of_states or len(piece.times) < 2:
-        return None
     if piece.reached.watched:
         return _crossed(piece)
+    if not piece.system.of_states or len(piece.times) < 2:
+        return None
     inside, towards = piece.margins(piece.seen)
     inside += piece.noise
     outside = inside[1:] < 0

@@ -105,7 +105,7 @@ class Solver(ABC):
         takes_nominal_values: Whether nominal values are arguments of it; for other solvers, the
             equations are scaled.
         uses_jacobian: Whether it uses the Jacobian, which takes long to compile.
-        watches: Whether a compiled run of it ends at the crossing of a relation by itself.
+        watches: Whether a compiled run of it goes through events by itself.
         takes_times: Whether a compiled engine for other output times is cheap to build.
     """
 

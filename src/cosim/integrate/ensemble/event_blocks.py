@@ -219,12 +219,10 @@ class EventBlocks:
         sizes = x.shape[1], z.shape[1], system.dae.u.numel()
         rows: list[Vector] = [np.empty((runs, n, size)) for size in sizes]
         report = np.full((runs, 4), float(_NOT_BEGUN))
-        constant = np.isin(np.arange(x.shape[1]), system.constant).astype(float)
         given = (x, z, np.hstack((u, modes)), constants, nominal_sizes(dae, x, solver.tolerance))
-        work = np.empty((n + 1) * (1 + x.shape[1] + z.shape[1]))
-        arrays = (grid, constant, *given, own_sizes(dae, x), *rows, self._records, report, work)
+        arrays = (grid, *given, own_sizes(dae, x), *rows, self._records, report)
         block = _Block(
-            *(runs, n, len(self._records), bool(system.of_states), solver.leaves_stiff),
+            *(runs, n, len(self._records), solver.leaves_stiff),
             *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )

@@ -26,6 +26,7 @@ from cosim.codegen.runge_kutta.explicit_library import (
 )
 from cosim.integrate.call import call_on_arrays
 from cosim.integrate.engine import (
+    EVENT,
     Engine,
     EngineFunctions,
     Filled,
@@ -82,7 +83,7 @@ def explicit_engine(
         settings: Relative and absolute tolerance (1), and the largest step, s.
     """
     dae, inputs = problem.dae, problem.inputs
-    system = problem.system if problem.system and problem.system.of_states else None
+    system = problem.system if problem.system and problem.system.relations else None
     path, constants = _compiled(dae, inputs, problem.project, name, method, system)
     grid, breaks = problem.grid, np.empty(0)
     selected: NDArray[np.intp] | None = None
@@ -161,7 +162,7 @@ def _projection(dae: Dae, inputs: InputSeries | None, constants: int) -> ca.Func
     return ca.Function("project", symbols, [projected, change])
 
 
-_NO_EVENTS = None, ctypes.c_longlong(0), None, None
+_NO_EVENTS = None, ctypes.c_longlong(0), None, None, ctypes.c_double(0)
 
 
 class DirectCall:
@@ -215,17 +216,18 @@ class DirectCall:
         if events is not None and left is not None:
             count = ctypes.c_longlong(len(events))
             places = (ctypes.c_void_p(a.ctypes.data) for a in (events, left.switching, left.sizes))
-            library.cosim_prepare(next(places), count, *places, self.leaves_stiff)
+            end = ctypes.c_double(left.end)
+            library.cosim_prepare(next(places), count, *places, end, self.leaves_stiff)
         else:
             library.cosim_prepare(*_NO_EVENTS, self.leaves_stiff)
         failed = self._run(arguments, results, integers, doubles, 0)
         library.cosim_prepare(*_NO_EVENTS, False)
         library.cosim_report(self._report)
-        *_, time, _, passed, relation, recorded = self._report
+        *_, status, time, _, passed, relation, recorded = self._report
         found = None if events is None else events[: int(recorded)].copy()
         if not failed:
             return Filled(True, len(states), None, found)
-        crossing = None if relation < 0 else (time, int(relation))
+        crossing = (time, int(relation)) if status == EVENT else None
         return Filled(crossing is not None, int(passed), crossing, found)
 
 
