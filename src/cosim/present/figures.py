@@ -158,6 +158,7 @@ def _scale(axis: Axes, spec: FigureSpec, panel: Sequence[str], runs: Sequence[Tr
 
 
 _POINTS: Any = {"color": SECOND, "linestyle": "none", "marker": ".", "markersize": 4}
+_RECORDS_ACROSS = 3  # in a figure of a fit; further records stand below
 _PAD = 0.07  # inches
 VARIABLES_PER_FIGURE = 3  # in figures that no scene declares
 
@@ -193,25 +194,74 @@ def draw_figures(
     return draw_overlay(specs, [run, other], differences=True)
 
 
-def draw_residuals(residuals: Trajectory, run: Trajectory, other: Trajectory) -> Figure:
-    """Draw a run as lines, another one as points, and the residuals below each variable."""
-    count, other = len(residuals.columns), replace(other, columns=run.columns)
+def draw_residuals(*compared: Sequence[Trajectory]) -> Figure:
+    """Draw runs as lines, others as points, and the residuals below each variable.
+
+    Args:
+        compared: Residuals, run and other run of each record; records stand side by side, and
+            from the fourth on below the others.
+    """
+    shown = tuple(dict.fromkeys(c.name for residuals, *_ in compared for c in residuals.columns))
+    across = min(_RECORDS_ACROSS, len(compared))
+    blocks = -(-len(compared) // across)
+    count = len(shown) * blocks
     with matplotlib.rc_context(STYLE):
-        figure = Picture(figsize=(_WIDTH, 1.0 + 3.0 * count), layout="constrained")
-        axes = figure.subplots(2 * count, 1, sharex=True, height_ratios=[2, 1] * count)
-        for column, above, below in zip(residuals.columns, axes[::2], axes[1::2], strict=True):
-            above.plot(run.time, _displayed(run, column.name), color=CURVES[0], label=run.model)
-            points = _displayed(other, column.name)
-            above.plot(other.time, points, **_POINTS, label=other.model)
-            gaps = column.shown(residuals[column.name], difference=True)
-            below.plot(residuals.time, gaps, **_POINTS)
-            above.set_ylabel(_beside(column.name, column.shown_unit, 19))
-            below.set_ylabel(_beside("residual", column.shown_unit, 16))
-        axes[0].legend()
-        axes[-1].set_xlabel("time [s]")
-        figure.suptitle(fill(residuals.model, 70), fontsize=11)
-        _name_invalid(figure, axes, [run], [run.model])
+        figure = Picture(
+            figsize=(_WIDTH * (0.4 + 0.6 * across), 1.0 + 3.0 * count), layout="constrained"
+        )
+        grid = figure.subplots(
+            2 * count, across, sharey="row", squeeze=False, height_ratios=[2, 1] * count
+        )
+        for axis in grid.flat:
+            axis.set_axis_off()  # until a record fills it
+        for place, one in enumerate(compared):
+            block, across_at = divmod(place, across)
+            top = 2 * len(shown) * block
+            rows = list(grid[top : top + 2 * len(shown), across_at])
+            _residual_panels(rows, shown, *one)
+            _name_invalid(figure, [axis for axis in rows if axis.axison], [one[1]], [one[1].model])
+            if len(compared) > 1:
+                rows[0].set_title(fill(f"record {place + 1}: {one[2].model}", 40), fontsize=9)
+        residuals, run, other = compared[0]
+        second = other.model if len(compared) == 1 else "measured"
+        next(axis for axis in grid[:, 0] if axis.axison).legend(labels=[run.model, second])
+        for row in grid:
+            for axis in [axis for axis in row if axis.axison][1:]:
+                axis.set_ylabel("")  # the first one names the variable of the row
+        title = residuals.model if len(compared) == 1 else f"{len(compared)} records, {run.model}"
+        figure.suptitle(fill(title, 70), fontsize=11)
     return figure
+
+
+def _residual_panels(
+    rows: Sequence[Axes],
+    names: Sequence[str],
+    residuals: Trajectory,
+    run: Trajectory,
+    other: Trajectory,
+) -> None:
+    """Draw a record in a column of panels: two for each variable that was measured."""
+    other, measured = replace(other, columns=run.columns), {c.name for c in residuals.columns}
+    last = None
+    for name, above, below in zip(names, rows[::2], rows[1::2], strict=True):
+        if name not in measured:
+            continue
+        column = residuals.column(name)
+        for axis in (above, below):
+            axis.set_axis_on()
+            if axis is not rows[0]:
+                axis.sharex(rows[0])
+            axis.tick_params(labelbottom=False)
+        above.plot(run.time, _displayed(run, name), color=CURVES[0], label=run.model)
+        above.plot(other.time, _displayed(other, name), **_POINTS, label=other.model)
+        gaps = column.shown(residuals[name], difference=True)
+        below.plot(residuals.time, gaps, **_POINTS)
+        above.set_ylabel(_beside(name, column.shown_unit, 19))
+        below.set_ylabel(_beside("residual", column.shown_unit, 16))
+        last = below
+    if last is not None:
+        last.tick_params(labelbottom=True)
+        last.set_xlabel("time [s]")
 
 
 def figures_of(names: Sequence[str]) -> tuple[FigureSpec, ...]:

@@ -1,5 +1,6 @@
 """`compare`: differences of two trajectories, and the verdict of a check."""
 
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -102,13 +103,7 @@ class Comparison:
             UnknownName: A variable was not compared, or the file has another ending.
             ExportError: The file cannot be written.
         """
-        chosen = names if names is not None else [one.name for one in self.differences[:6]]
-        figure = presenter("compare")(self.residuals.select(chosen), *self.runs)
-        if target is not None:
-            from cosim.plotting import save  # loads matplotlib
-
-            save([figure], str(target))
-        return figure
+        return plot_comparisons([self], target, names)
 
     def __bool__(self) -> bool:
         return self.agrees
@@ -132,6 +127,24 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         return html_table(self.rows(), str(self))
+
+
+def plot_comparisons(
+    compared: Sequence[Comparison],
+    target: str | os.PathLike[str] | None,
+    names: Sequence[str] | None = None,
+) -> Any:
+    """Draw comparisons side by side; see `Comparison.plot`."""
+    shown = []
+    for one in compared:
+        chosen = names if names is not None else [each.name for each in one.differences[:6]]
+        shown.append((one.residuals.select(chosen), *one.runs))
+    figure = presenter("compare")(*shown)
+    if target is not None:
+        from cosim.plotting import save  # loads matplotlib
+
+        save([figure], str(target))
+    return figure
 
 
 def compare(

@@ -246,6 +246,26 @@ def test_command_fits_a_german_csv_file_and_writes_a_scene(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["rank"] == 2
 
 
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_figure_shows_every_record(count):
+    records = [noisy(seed, start=float(seed + 1)) for seed in range(count)]
+    found = fit(DECAY, records, {"k": 1.0, "x": 1.0}, each=["x"] if count > 1 else ())
+    shown = [axis for axis in found.plot().axes if axis.axison]
+    assert len(shown) == 2 * count  # curves and residuals
+    measured = [axis.lines[1].get_ydata() for axis in shown if len(axis.lines) == 2]
+    for one in records:
+        assert any(np.array_equal(values, one["x"]) for values in measured)
+    assert len(found.plot(record=count - 1).axes) == 2
+
+
+def test_figure_of_records_with_different_variables_leaves_their_panels_empty():
+    records = [noisy(0), record({"y": 3 * np.exp(-2 * TIMES)})]
+    found = fit(DECAY, records, {"k": 1.0, "x": 1.0})
+    shown = [axis.get_ylabel() for axis in found.plot().axes if axis.axison]
+    assert len(shown) == 4
+    assert {name for name in shown if name} == {"x [m]", "y [m]", "residual [m]"}
+
+
 OWN = """
 import cosim
 def build():

@@ -19,7 +19,7 @@ from cosim.model.values import whole
 from cosim.study.fit.subject import ModelSubject, Subject
 from cosim.text import html_table, text_table
 from cosim.trajectory import Column, Trajectory
-from cosim.verify.comparison import Comparison, compare
+from cosim.verify.comparison import Comparison, compare, plot_comparisons
 
 
 @naming_arguments_of
@@ -112,9 +112,18 @@ class Fit:
         whole("fit", "record", record, 0, len(self.records) - 1)
         return compare(self.runs[record], self.records[record], bound=bound)
 
-    def plot(self, target: str | os.PathLike[str] | None = None, record: int = 0) -> Any:
-        """Draw the fitted run, the measurements and the residuals; see `Comparison.plot`."""
-        return self.compare(record).plot(None if target is None else str(target))
+    def plot(self, target: str | os.PathLike[str] | None = None, record: int | None = None) -> Any:
+        """Draw the fitted runs, the measurements and the residuals; see `Comparison.plot`.
+
+        Args:
+            target: PNG, SVG or PDF file; no file if None.
+            record: Number of a record, from 0; all records side by side if None.
+
+        Returns:
+            The figure of matplotlib.
+        """
+        chosen = range(len(self.records)) if record is None else [record]
+        return plot_comparisons([self.compare(number) for number in chosen], target)
 
     def scene(self, model: str = "", folder: str | os.PathLike[str] = ".") -> str:
         """Return a scene with the values of the first record, as the text of a TOML file.

@@ -260,7 +260,8 @@ class _Track:
             raise InitialConditionError(
                 f"{linear.model}: an eigenvalue crosses the imaginary axis at {high.value:.6g}, "
                 f"but {linear.point} is {linear.steadiness}, and not for a limit of stability; "
-                "choose the equilibrium, or initial values of a steady motion"
+                'choose the equilibrium (--equilibrium; in Python at="equilibrium"), or initial '
+                "values of a steady motion"
             )
         value = high.spectrum.values[self._step(low, high).partners[row]]
         mode = Mode(complex(value), (), period=linear.period)
