@@ -95,7 +95,8 @@ static inline int run_alone(BlockRun *self) {
                        .states = self->states + NX,
                        .unknowns = NZ > 0 ? self->unknowns + NZ : NULL,
                        .largest = block->largest};
-    const int code = integrate_timed(&self->problem, &self->watch, &grid, self->x, &course);
+    const int code =
+        integrate_timed(solver.integrate, &self->problem, &self->watch, &grid, self->x, &course);
     if (code != SUCCESS) return code == EVENT ? 1 : -1;
     memcpy(self->z, self->unknowns + last * NZ, NZ * sizeof *self->z);
     if (end_run(self)) return 1;

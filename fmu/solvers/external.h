@@ -14,18 +14,16 @@
 
 #define SETTINGS (6 + NX)
 #include "shapes.h"
-#include "watch.h"
+#include "timed.h"
 
 /* What the functions below run; generated code fills it. */
 typedef struct {
     Equations *rhs, *project, *watch;
     WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function */
-    int (*integrate)(Problem *self, const Grid *grid, double *x, Course *course);
+    Integrate *integrate;
 } Solver;
 
 static const Solver solver;
-
-#include "timed.h"
 
 enum { REPORT = 9 };
 
@@ -139,7 +137,7 @@ static inline int integrate_pieces(Problem *self, Watch *watch, const Schedule *
                            .largest = largest};
         if (schedule->columns > 1)
             memcpy(self->u, inputs_to(schedule, begin + 1), NU * sizeof *self->u);
-        const int code = integrate_timed(self, watch, &grid, x, course);
+        const int code = integrate_timed(solver.integrate, self, watch, &grid, x, course);
         if (code == EVENT) { /* the state there follows the output times that were passed */
             double dx[NX], *const unknowns = z ? z + course->passed * NZ : NULL;
             memcpy(out + course->passed * NX, x, sizeof x);

@@ -8,6 +8,9 @@
 
 enum { SAME_INSTANT = 32 }; /* units in the last place of a time, as in location.py */
 
+/* A solver: integrates x over a grid. */
+typedef int Integrate(Problem *self, const Grid *grid, double *x, Course *course);
+
 /* The output times after the first ones. */
 static inline void skip_columns(Grid *self, long long count) {
     self->times += count;
@@ -31,23 +34,24 @@ static inline Grid untimed_part(const Grid *grid, const Switching *s) {
 }
 
 /* Goes on to the end of a part of a grid. */
-static inline int integrate_part(Problem *self, Grid part, double *x, Course *course) {
+static inline int integrate_part(Integrate *integrate, Problem *self, Grid part, double *x,
+                                 Course *course) {
     const double near = part.begin + SAME_INSTANT * ulp(part.begin);
     /* no solver begins with an output time so near, and the state is the same there */
     for (; part.points > 0 && part.times[0] <= near; skip_columns(&part, 1))
         if (write_column(self, &part, 0, x, course)) return NOT_FINITE;
-    return part.end > near ? solver.integrate(self, &part, x, course) : SUCCESS;
+    return part.end > near ? integrate(self, &part, x, course) : SUCCESS;
 }
 
 /* Integrates x over a grid, through the time events before its end; `watch`: NULL without any. */
-static inline int integrate_timed(Problem *self, Watch *watch, const Grid *grid, double *x,
-                                  Course *course) {
+static inline int integrate_timed(Integrate *integrate, Problem *self, Watch *watch,
+                                  const Grid *grid, double *x, Course *course) {
     Grid left = *grid;
-    if (!watch) return solver.integrate(self, grid, x, course);
+    if (!watch) return integrate(self, grid, x, course);
     for (;;) {
         const Grid part = untimed_part(&left, watch->switching);
         const long long passed = course->passed;
-        const int code = integrate_part(self, part, x, course);
+        const int code = integrate_part(integrate, self, part, x, course);
         skip_columns(&left, course->passed - passed);
         if (code != EVENT && (code != SUCCESS || part.end == left.end)) return code;
         Crossing event = {course->reached, watch->relation, course->reached};

@@ -208,7 +208,8 @@ class _Course:
     def _done(self) -> float:
         """Return the share of the run that is done, 0 to 1."""
         begin, end = self.grid[[0, -1]].tolist()
-        return float((self.at.t - begin) / (end - begin))
+        passed = begin if self.kernel is None else self.kernel.switching.last_event
+        return float((max(self.at.t, passed) - begin) / (end - begin))
 
     def _all(self) -> Ending:
         """Integrate from event to event.

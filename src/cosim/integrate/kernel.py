@@ -142,6 +142,11 @@ class Switching:
         return self._row(4)
 
     @property
+    def last_event(self) -> float:
+        """Time of the last event, s."""
+        return float(self.numbers[-7])
+
+    @property
     def sliding(self) -> frozenset[int]:
         """Relations whose arguments stay 0 because their modes make them so."""
         return frozenset(np.flatnonzero(self.states == State.SLIDES).tolist())
