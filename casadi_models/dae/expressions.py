@@ -120,6 +120,24 @@ def linear_solution(matrix: MX, right: MX, *, transposed: bool = False) -> MX:
     return method.solve(matrix, right, transposed)
 
 
+def implicit_change(symbols: Sequence[SX], slopes: SX, moved: SX) -> ca.Function:
+    """Return how the solution z of equations g(y, z) = 0 changes as y moves in a direction s.
+
+    By the implicit function theorem, (dg/dz) w = -(dg/dy) s.
+
+    Args:
+        symbols: Arguments of the function, which returns w, (n, 1).
+        slopes: dg/dz, (n, n), with rows of similar size; n may be 0.
+        moved: (dg/dy) s, (n, 1).
+    """
+    arguments = [MX.sym("argument", symbol.sparsity()) for symbol in symbols]
+    change = MX(0, 1)
+    if slopes.numel():
+        law = ca.Function("along", symbols, [slopes, -moved], {"cse": True})
+        change = linear_solution(*law(*arguments))
+    return ca.Function("implicit_change", arguments, [change], {"always_inline": True})
+
+
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:
     """Return whether every unknown can be matched to a residual of its own that depends on it."""
     jacobian = ca.jacobian_sparsity(residual, unknowns)

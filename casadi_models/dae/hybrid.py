@@ -17,7 +17,7 @@ from casadi import MX, SX
 
 from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import RELATIONS, column, linear_solution, operations
+from casadi_models.dae.expressions import RELATIONS, column, implicit_change, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, term_sizes
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
@@ -288,11 +288,10 @@ class Hybrid:
         law = ca.Function("law", [*given, w], results, {"cse": True})
         symbols = [MX.sym("argument", s.numel()) for s in given]
         dz = MX.zeros(w.numel())
-        if dae.algebraics and ca.depends_on(ca.vertcat(*results), w):
+        if ca.depends_on(ca.vertcat(*results), w):
             known, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, others[0])
-            pair = [ca.jacobian(dae.balanced, dae.z), ca.jtimes(dae.balanced, known, along)]
-            matrix, rate = ca.Function("slopes", given, pair)(*symbols)
-            dz = -linear_solution(matrix, ca.densify(rate))
+            moved = ca.jtimes(dae.balanced, known, along)
+            dz = implicit_change(given, ca.jacobian(dae.balanced, dae.z), moved)(*symbols)
         return ca.Function(name, symbols, [ca.densify(found) for found in law(*symbols, dz)])
 
     def rates(
