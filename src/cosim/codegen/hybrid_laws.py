@@ -6,7 +6,7 @@ from itertools import accumulate
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import symbols
+from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.relations import replayed
 from cosim.memo import cached_per_thread
@@ -22,7 +22,7 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
     """
     dae = system.dae
     pairs = zip(system.of_time, system.relations, strict=True)
-    times = ca.densify(ca.vertcat(SX(0, 1), *(int(own) * r.argument for own, r in pairs)))
+    times = column(int(own) * r.argument for own, r in pairs)
     defects = ca.vertcat(SX(0, 1), *(ca.norm_inf(law.residual) for law in dae.invariants))
     timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
     seen = system.watching("seen")
@@ -144,9 +144,7 @@ def _barriers(system: Hybrid) -> list[list[int]]:
     """Return for each event the relations of its condition whose rates its assignments change."""
     dae, constant = system.dae, set(system.constant)
     unknown, moving = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
-    rates = (
-        ca.vertsplit(system.rates(system.arguments, unknown, moving)) if system.relations else []
-    )
+    rates = ca.vertsplit(system.rates(system.arguments, unknown, moving))
     modes, states = ca.vertsplit(system.modes), ca.vertsplit(dae.x)
     found = list[list[int]]()
     for event in system.events:
