@@ -181,24 +181,11 @@ def sensitivity(
     names = [v.name for v in dae.states]
     if outputs is not None:
         names = [*listed("sensitivity: outputs", outputs)]
-    by = [v.name for v in dae.parameters]
+    chosen = [v.name for v in dae.parameters]
     if with_respect_to is not None:
-        by = [*listed("sensitivity: with_respect_to", with_respect_to)]
-    ways = {way.variable.name: way for way in dae.start_outputs if way.variable.name in by}
-    if ways:
-        by_states = sensitivity(
-            dae,
-            outputs=outputs,
-            with_respect_to=[*dict.fromkeys(_state_of(dae, ways, name) for name in by)],
-            start_values=start_values,
-            inputs=inputs,
-            solver=solver,
-            relative_tolerance=relative_tolerance,
-            check=check,
-            bound=bound,
-            **times,
-        )
-        return _through_outputs(dae, by_states, by, ways, values)
+        chosen = [*dict.fromkeys(listed("sensitivity: with_respect_to", with_respect_to))]
+    ways = {way.variable.name: way for way in dae.start_outputs if way.variable.name in chosen}
+    by = [*dict.fromkeys(_state_of(dae, ways, name) for name in chosen)]
     whole = [_target(dae, name, inputs) for name in by]
     small = _reduced(dae, tuple(names))
     numbers = {"state": values.x, "parameter": values.p, "input": values.u}
@@ -223,10 +210,10 @@ def sensitivity(
     table = np.zeros((len(plain), len(names), len(by)))
     table[:, :, rows] = found
     result = Sensitivity(plain, columns, table)
-    if not check or not targets:
-        return result
-    agreement = task.agreement(result, targets, [at[row] for row in rows], bound)
-    return Sensitivity(plain, columns, table, agreement)
+    if check and targets:
+        agreement = task.agreement(result, targets, [at[row] for row in rows], bound)
+        result = Sensitivity(plain, columns, table, agreement)
+    return _through_outputs(dae, result, chosen, ways, values) if ways else result
 
 
 def _state_of(dae: Dae, ways: Mapping[str, StartThrough], name: str) -> str:
