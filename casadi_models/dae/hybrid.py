@@ -441,7 +441,6 @@ def hybrid(dae: Dae) -> Hybrid | None:
     relations = laws.relations
     if not relations and not dae.events:
         return None
-    count = len(dae.inputs)
     more = _mode_inputs(relations)
     smooth = replace(
         dae,
@@ -453,11 +452,10 @@ def hybrid(dae: Dae) -> Hybrid | None:
         events=(),
         smooth=(),
     )
-    assert smooth.u.numel() == count + len(relations)
     events = tuple(
         replace(event, condition=condition)
         for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
-    ) if dae.events else ()  # fmt: skip
+    )
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
 
 

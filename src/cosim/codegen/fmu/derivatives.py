@@ -78,8 +78,6 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
         blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.balanced) for v in (known, dae.z)]
         written_out = ca.Function("blocks", call, blocks, {"cse": True})
         ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
-    if not dae.algebraics:
-        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
     z_known = -linear_solution(alg_z, ca.densify(alg_known))
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
@@ -115,7 +113,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
-    solved = linear_solution(matrix, right, transposed=True) if dae.algebraics else MX(0, 1)
+    solved = linear_solution(matrix, right, transposed=True)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
 
 
