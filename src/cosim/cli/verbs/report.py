@@ -38,7 +38,13 @@ def run(args: argparse.Namespace) -> int:
             note(args, f"{row['model']}: {row['backend']} {check.verdict}")
     words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
                                                                args.output_file]  # fmt: skip
-    dae, command = request.reduced().configured(), shlex.join(["cosim", *words])
+    dae, command = request.reduced().configured(), shlex.join(["cosim", *map(_portable, words)])
     page = report(ReportContents(scene, dae, result, shown, checks, command))
     print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
     return code
+
+
+def _portable(word: str) -> str:
+    """Return a word of the command; of an absolute path, which another computer lacks, the name."""
+    option, sign, value = word.rpartition("=")
+    return f"{option}{sign}{Path(value).name}" if Path(value).is_absolute() else word

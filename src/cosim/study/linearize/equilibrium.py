@@ -84,8 +84,9 @@ class _Search:
                     return x, f"its initial state, {_article(self.kind)}"
                 most = movable[int(moved.argmax())]
                 name, unit = dae.states[most].name, dae.states[most].unit
+                steps = f"{step} step{'s' * (step != 1)}"
                 return x, (
-                    f"{_article(self.kind)}, {step} steps of Newton's method from the initial "
+                    f"{_article(self.kind)}, {steps} of Newton's method from the initial "
                     f"state ({name} = {x[most]:.6g} {unit} instead of {start[most]:.6g})"
                 )
             change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
