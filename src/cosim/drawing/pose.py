@@ -321,7 +321,8 @@ def start_pose(dae: Dae) -> StartPose | None:
     frames = tuple(
         (body.name, poses.places[0, i], turned[i])
         for i, body in enumerate(drawing.bodies)
-        if ca.symvar(body.rotation) and any(solid.body == i for solid in poses.solids)
+        if ca.symvar(body.rotation)
+        and any(solid.body == i for solid in poses.solids)
         and "/" not in body.name
     )
     return StartPose(poses, frames, merged)

@@ -23,8 +23,8 @@ _DIGITS = 4  # of numbers that were computed
 _ROUNDING, _ZERO_RATE = 1e-9, 1e-12  # parts of a sum that are left out: of it, in nominal values
 _OPERATIONS = {getattr(ca, n): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
 _TIMES = '<mo>\u2062</mo><mspace width=".17em"/>'
-_EQUAL, _ZERO = "<mo>=</mo>", "<mn>0</mn>"
-_INFIX = {"add": ("<mo>+</mo>", 1), "sub": ("<mo>−</mo>", 1), "mul": (_TIMES, 2)}
+_EQUAL, _MINUS, _ZERO = "<mo>=</mo>", "<mo>\u2212</mo>", "<mn>0</mn>"
+_INFIX = {"add": ("<mo>+</mo>", 1), "sub": (_MINUS, 1), "mul": (_TIMES, 2)}
 _INFIX |= {"lt": ("<mo>&lt;</mo>", 0), "le": ("<mo>≤</mo>", 0), "eq": (_EQUAL, 0)}
 _INFIX |= {"ne": ("<mo>≠</mo>", 0), "and": ("<mo>∧</mo>", 0), "or": ("<mo>\u2228</mo>", 0)}
 _ATOM = 9  # precedence of what needs no parentheses
@@ -113,7 +113,7 @@ def _sum(factors: Vector, names: Sequence[str]) -> str:
     for factor, name in zip(factors, ("", *names), strict=True):
         if factor:
             variable = f"{_TIMES}<mo>Δ</mo>{symbol(name)}" if name else ""
-            sign = "<mo>−</mo>" if factor < 0 else "<mo>+</mo>" * bool(text)
+            sign = _MINUS if factor < 0 else "<mo>+</mo>" * bool(text)
             text += sign + _number(abs(factor), _DIGITS) + variable
     return text or _ZERO
 
@@ -267,7 +267,7 @@ class _Writer:
             power = "<mn>2</mn>" if name == "sq" else self.text(parts[1])
             return f"<msup>{self.text(parts[0], _ATOM)}{power}</msup>", 8
         if name == "neg":
-            return f"<mo>−</mo>{self.text(parts[0], 2)}", 1
+            return f"{_MINUS}{self.text(parts[0], 2)}", 1
         if name == "twice":
             return f"<mn>2</mn>{_TIMES}{self.text(parts[0], 2)}", 2
         inside = "<mo>,</mo>".join(map(self.text, parts))

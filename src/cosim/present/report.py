@@ -203,7 +203,8 @@ def _parameter_row(
     calculated = variable.start_kind is Start.CALCULATED
     if calculated and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
-        value *= abs(value) > 1e-12 * variable.nominal  # rounding of the calculation
+        if abs(value) <= 1e-12 * variable.nominal:
+            value = 0.0  # rounding of the calculation
     shown = variable.display_unit or variable.unit
     return {
         "name": variable.name,

@@ -115,7 +115,7 @@ class Player {
   resize() {
     this.scene.resize();
     this.curves.resize();
-    this.stale = true;
+    this.scene.draw(this.t); // now, as an observer is called after the frame: another size is black
   }
 
   facts() {
