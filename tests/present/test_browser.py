@@ -223,6 +223,27 @@ def test_message_on_a_phone_leaves_the_bodies_to_be_seen(tmp_path):
     assert height >= 44  # it unfolds under a finger
 
 
+def test_message_stands_below_the_picture_and_title_and_buttons_above_it(tmp_path):
+    run = cosim.simulate(spinning(4.0, limit=2.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = f"""
+        player.go(0);
+        {FRAMES}
+        const [box, view] = ["alarm", "view"].map((name) => document.getElementById(name));
+        const before = box.textContent, height = view.offsetHeight;
+        player.go(0.9);
+        {FRAMES}
+        const button = document.getElementById("fit").getBoundingClientRect();
+        const hit = document.elementFromPoint(button.left + 5, button.top + 5);
+        return [before, box.textContent, view.offsetHeight - height, hit.id,
+                box.getBoundingClientRect().top >= view.getBoundingClientRect().bottom,
+                player.scene.canvas.height / window.devicePixelRatio === view.offsetHeight];
+    """
+    before, after, moved, hit, below, fits = asked(path, code, tmp_path)
+    assert before == after == "invalid from 0.5 s: not fulfilled"
+    assert (moved, hit, below, fits) == (0, "fit", True, True)
+
+
 def test_message_of_a_page_without_bodies_does_not_cover_its_title(tmp_path):
     pytest.importorskip("ziglang")
     model = cosim.Model("decay", stop_time=1.0)

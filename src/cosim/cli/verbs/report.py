@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.cli.runs import run_or_partial, scene_or_none
-from cosim.cli.tables import note
+from cosim.cli.tables import note, report_files
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.present.report import ReportContents, report
@@ -40,7 +40,8 @@ def run(args: argparse.Namespace) -> int:
                                                                args.output_file]  # fmt: skip
     dae, command = request.reduced().configured(), shlex.join(["cosim", *map(_portable, words)])
     page = report(ReportContents(scene, dae, result, shown, checks, command))
-    print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
+    path = write_atomically(args.output_file, page.encode())
+    report_files(args, path, model=result.model, status=result.status)
     return code
 
 

@@ -176,8 +176,12 @@ class SweepResult:
         write_atomically(path, self.csv_text().encode())
 
     def csv_text(self) -> str:
+        """Return the table of runs as CSV."""
+        return csv_text(self.rows())
+
+    def rows(self) -> list[dict[str, Any]]:
         """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
-        rows = [
+        return [
             {
                 "run": i,
                 **{name: float(column[i]) for name, column in self.samples.columns.items()},
@@ -188,7 +192,6 @@ class SweepResult:
             }
             for i in range(len(self))
         ]
-        return csv_text(rows)
 
     def to_xarray(self) -> "xr.Dataset":
         """Return an `xarray.Dataset`: dimension `run`, what was varied as its coordinates.
