@@ -36,7 +36,7 @@ def note(args: argparse.Namespace, *lines: object) -> None:
         print(*lines, sep="\n", file=sys.stderr, flush=True)
 
 
-def report_files(args: argparse.Namespace, *paths: Path, **facts: Any) -> None:
+def report_files(args: argparse.Namespace, *paths: object, **facts: Any) -> None:
     """Name the files that were written: as a note, or with further facts as JSON."""
     if args.json:
         print(json.dumps({"files": [str(path) for path in paths], **facts}))

@@ -16,7 +16,7 @@ from casadi_models.dae.expressions import operation_count
 from cosim.arrays import Vector
 from cosim.study.linearize.linearization import Linearization
 
-MOST_FORMULAS = 100  # lines that are printed in full
+MOST_FORMULAS = 100  # lines that are printed in full, unless they are short
 _LARGEST = 300  # operations of an equation that is printed in full
 _WIDEST = 24  # names and numbers of a part of a line
 _DIGITS = 4  # of numbers that were computed
@@ -59,7 +59,7 @@ class _Row:
 def formulas(dae: Dae) -> Formulas:
     """Return the equations, the outputs and the validity conditions, 0 < margin.
 
-    The smallest ones are printed in full, in 100 lines at most. For a larger one, the formula
+    The smallest ones are printed in full, in about 100 lines. For a larger one, the formula
     shows its arguments and its number of operations.
     """
     outputs = [*zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)]
@@ -122,15 +122,23 @@ def _readable(rows: Sequence[_Row], equations: int, known: Mapping[int, str]) ->
     """Return the positions of the rows that are printed in full, equations before outputs."""
     sizes = [_operations(row.right, known) for row in rows]
     chosen = list[int]()
-    for i in sorted(range(len(rows)), key=lambda i: (i >= equations, sizes[i])):
-        trial = [*chosen, i]
-        if sizes[i] <= _LARGEST:
-            writer = _Writer([rows[k].right for k in trial], known)
-            for k in trial:
-                writer.whole(rows[k].right, rows[k].name)
-            if len(trial) + len(writer.named) <= MOST_FORMULAS:
-                chosen = trial
+    for group in (range(equations), range(equations, len(rows))):
+        for i in sorted(group, key=sizes.__getitem__):
+            if sizes[i] > _LARGEST:
+                break
+            trial = [*chosen, i]
+            if sizes[i] > _WIDEST and _lines([rows[k] for k in trial], known) > MOST_FORMULAS:
+                break
+            chosen = trial
     return chosen
+
+
+def _lines(rows: Sequence[_Row], known: Mapping[int, str]) -> int:
+    """Return the number of lines of some equations, with those of their parts."""
+    writer = _Writer([row.right for row in rows], known)
+    for row in rows:
+        writer.whole(row.right, row.name)
+    return len(rows) + len(writer.named)
 
 
 def _operations(expression: SX, known: Mapping[int, str]) -> int:

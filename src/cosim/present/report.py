@@ -29,7 +29,7 @@ from cosim.model.reduction import size
 from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
-from cosim.present.formulas import formulas, linear_formulas
+from cosim.present.formulas import MOST_FORMULAS, formulas, linear_formulas
 from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
@@ -134,7 +134,7 @@ def _paragraphs(docstring: str) -> Iterable[str]:
 def _equations(c: ReportContents) -> Iterable[str]:
     """Yield the equations, and the linear ones of those that are too large to be printed."""
     found = formulas(c.dae)
-    linear = _linear_system(c) if found.large else None
+    linear = _linear_system(c) if 0 < len(found.large) <= MOST_FORMULAS else None
     yield "<h3>Equations</h3>"
     yield _block(found.equations)
     if found.outputs:
