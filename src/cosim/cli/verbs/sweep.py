@@ -8,6 +8,7 @@ from typing import Any
 from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, spaced, value_in
 from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.fmi.trust import require_trust
 from cosim.host.optional_packages import optional_module
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.sweep.samples import Samples, chosen_samples
@@ -30,6 +31,8 @@ _AXIS_FORMS = "A,B,C or A:B:N or A"
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep and write its table of runs."""
+    if args.model.endswith(".fmu"):
+        require_trust(args.model, trusted=args.trust)
     subject = open_subject(args.model)
     result = sweep(
         subject,

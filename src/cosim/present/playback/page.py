@@ -1,4 +1,4 @@
-"""Playback as one HTML file: bodies in three dimensions, curves, and, if asked for, the solver.
+"""Playback as one HTML file: bodies in three dimensions, curves, and, if requested, the solver.
 
 The viewer is three.js as the package meshcat ships it, the curves are those of uPlot.
 """
