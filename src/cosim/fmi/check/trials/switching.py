@@ -141,6 +141,7 @@ class _Switching:
         Raises:
             Skipped: The time is up.
         """
+        self.end = monotonic() + _FOR_IT * self.bench.timeout
         size = self.bench.internal_step("CoSimulation") or self.bench.step_size("CoSimulation")
         try:
             found = self.run(Interface.CO_SIMULATION, self.bench.tolerance, size)[1][1:]
