@@ -7,6 +7,7 @@ import fmpy
 import pytest
 from fmpy.ssp.ssd import read_ssd
 from helpers.small_models import decay
+from helpers.typed_part import typed_part
 from lxml import etree
 
 import cosim
@@ -97,3 +98,17 @@ def test_stop_time_that_is_no_positive_number_is_rejected(fmu, tmp_path, bad):
     with pytest.raises(ParameterError, match="write_ssp: stop_time = "):
         cosim.write_ssp(tmp_path / "one.ssp", {"a": fmu}, [], stop_time=bad)
     assert not (tmp_path / "one.ssp").exists()
+
+
+def test_elements_of_arrays_are_connectors_and_values(tmp_path):
+    fmu = typed_part(tmp_path)  # x' = u, y = x, with two components
+    parts, wires = {"a": fmu, "b": fmu}, [("a.y[1]", "b.u[2]")]
+    path = cosim.write_ssp(
+        tmp_path / "two.ssp", parts, wires, values={"a.u[1]": 2.0}, stop_time=1.0
+    )
+    system = cosim.read_ssp(path)
+    assert {*system.parts} == {"a", "b"}
+    final = system.simulate(macro_step=0.1, method="jacobi").final
+    assert final["a.y[1]"] == pytest.approx(2.0, rel=1e-12)
+    assert final["b.u[2]"] == final["a.y[1]"]
+    assert final["a.y[2]"] == final["b.y[1]"] == 0.0

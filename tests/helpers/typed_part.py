@@ -30,12 +30,17 @@ _TYPED = ("Boolean", "Int32", "Int64", "Float32")  # macros define their functio
 _PAIRS = {"on": ("Boolean", 7), "count": ("Int32", 9), "mode": ("Enumeration", 11)}
 
 
-def typed_part(folder: Path, fmi: int = 3) -> Path:
-    """Build the FMU."""
+def typed_part(folder: Path, fmi: int = 3, fault: tuple[str, str] | None = None) -> Path:
+    """Build the FMU; a fault is a piece of its C code and what replaces it."""
     state = "state" if fmi == 2 else "State"
     own = {f"fmi{fmi}{verb}FMU{state}" for verb in ("Get", "Set", "Free")}
     own |= {f"fmi3{verb}{kind}" for verb in ("Get", "Set") for kind in _TYPED}
     source = Path(__file__).with_name("typed_part.c")
+    if fault:
+        code = source.read_text()
+        assert fault[0] in code
+        source = folder / source.name
+        source.write_text(code.replace(*fault))
     return stubbed(source, folder, fmi, _description(fmi == 2), own)
 
 

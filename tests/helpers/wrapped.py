@@ -51,6 +51,11 @@ SIGNATURES = {
     "fmi2SetDebugLogging": "fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]",
     "fmi3DoStep": "fmi3Instance c, fmi3Float64 point, fmi3Float64 size, fmi3Boolean keep, "
     "fmi3Boolean *event, fmi3Boolean *ends, fmi3Boolean *early, fmi3Float64 *last",
+    "fmi2GetBoolean": "fmi2Component c, const fmi2ValueReference vr[], size_t n, "
+    "fmi2Boolean value[]",
+    "fmi3GetDirectionalDerivative": "fmi3Instance c, const fmi3ValueReference unknowns[], "
+    "size_t m, const fmi3ValueReference knowns[], size_t n, const fmi3Float64 seed[], size_t o, "
+    "fmi3Float64 value[], size_t p",
     "fmi3GetNumberOfEventIndicators": "fmi3Instance c, size_t *n",
     "fmi3GetAdjointDerivative": "fmi3Instance c, const fmi3ValueReference unknowns[], size_t m, "
     "const fmi3ValueReference knowns[], size_t n, const fmi3Float64 seed[], size_t o, "

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,9 +26,11 @@ from cosim.cli.arguments import (
 )
 from cosim.cli.tables import note
 from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
+from cosim.coupling.part import part_of
 from cosim.coupling.system import System
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.archive import with_places
+from cosim.fmi.run.instance import REALS
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
@@ -35,6 +39,7 @@ from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
+from cosim.series.csv_file import rows_of
 from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
 from cosim.trajectory import Trajectory
@@ -65,7 +70,7 @@ def scene_or_none(args: argparse.Namespace) -> Scene | None:
 
 def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:
     """Name the inputs of a system that nothing drives, before it runs."""
-    given = {*dict(start_texts(args)), *(inputs_in(args) or {})}
+    given = {*dict(start_texts(args)), *(_inputs_in(args) or {})}
     undriven = [name for name in system.undriven_inputs if name not in given]
     if undriven:
         note(
@@ -120,11 +125,32 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
     run: Trajectory = run_apart(
         args.model,
         interface=args.interface_type,
-        inputs=inputs_in(args),
+        inputs=_inputs_in(args),
         outputs=None if args.outputs is None else names_in(args.outputs),
         **settings,
     )
     return run
+
+
+def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the inputs of a command line; an error about a text names the variable's type."""
+    try:
+        return inputs_in(args)
+    except ParameterError:
+        model, is_file = args.model, args.model.endswith(".fmu")
+        parts = {model: part_of("fmu", model)} if is_file else read_system(model).parts
+        types = {
+            name if is_file else f"{part}.{name}": variable.type
+            for part, own in parts.items()
+            for name, variable in own.variables.items()
+        }
+        for name in rows_of(Path(args.input_file))[0][1]:
+            if (kind := types.get(name.strip(), REALS[0])) not in REALS:
+                raise UsageError(
+                    f"{model}: {name.strip()} is of type {kind}; only real inputs follow time "
+                    "series, others take constant values"
+                ) from None
+        raise
 
 
 def _co_simulation(args: argparse.Namespace) -> Trajectory:
@@ -136,7 +162,7 @@ def _co_simulation(args: argparse.Namespace) -> Trajectory:
     if "accuracy" in options:
         options["accuracy"] = quantity("--accuracy", options["accuracy"], "1")
     options["start_values"] = dict(start_texts(args))
-    options["inputs"] = inputs_in(args)
+    options["inputs"] = _inputs_in(args)
     options["outputs"] = None if args.outputs is None else names_in(args.outputs)
     system = read_system(args.model)
     if getattr(args, "at", None) is not None:  # before a run of which the times are not a part

@@ -11,6 +11,7 @@ from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
+from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.instance import REALS, unit_of
 from cosim.fmi.run.typed_values import RANGES, start_number
 from cosim.fmi.units import definitions
@@ -202,12 +203,12 @@ def _defined_units(files: Iterable[Any]) -> dict[str, Unit]:
 
 
 def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
-    """Return fmpy's model description, and the variables by name and by flat name."""
+    """Return fmpy's model description with elements, and variables by name and by flat name."""
     from fmpy import read_model_description
 
     with unpacked(path) as folder:
         try:
-            description = read_model_description(str(folder), validate=False)
+            description = with_elements(read_model_description(str(folder), validate=False))
             flat = flat_names(ET.parse(folder / DESCRIPTION).getroot())
         except Exception as error:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
@@ -225,7 +226,8 @@ def _component(name: str, description: Any, units: Mapping[str, str | None]) -> 
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
-        if variable.causality in ("input", "output", "parameter"):
+        whole = variable.dimensions  # which SSP 1.0 has not, its elements are variables
+        if variable.causality in ("input", "output", "parameter") and not whole:
             facts = {"name": variable.name, "kind": variable.causality}
             connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", facts)
             unit, kind = units[variable.name], _kind(variable)

@@ -15,9 +15,10 @@ from cosim.fmi.check.finding import WRONG
 from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives
-from cosim.fmi.check.trials.start import defaults, initialization, start, time
+from cosim.fmi.check.trials.start import initialization, start, time
 from cosim.fmi.check.trials.steps import steps
 from cosim.fmi.check.trials.switching import switching
+from cosim.fmi.check.trials.values import defaults
 
 
 def ball():
@@ -103,7 +104,7 @@ FAULTS = {
 def test_fault_at_an_event_is_found(fault, tmp_path):
     build, bodies = FAULTS[fault]
     path = wrapped(tmp_path, {}, build(), **bodies)
-    answer = try_apart(path, timeout=24, trials=(start, switching))
+    answer = try_apart(path, timeout=60, trials=(start, switching))
     assert [(f.level, f.rule) for f in answer.findings] == [(WRONG, "switching")]
     assert switching in TRIALS
 

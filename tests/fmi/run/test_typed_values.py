@@ -3,7 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
+from helpers.typed_part import typed_part
 
+from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError
 from cosim.fmi.run.typed_values import reject_beyond_bounds, typed_value
 
@@ -82,3 +84,20 @@ def test_value_is_bounded_on_one_side_where_the_file_has_one_bound():
     reject_beyond_bounds(variable, 1e300)
     with pytest.raises(FmuError, match=r"u = -2 is out of its range -1\.5 \.\.\. inf"):
         reject_beyond_bounds(variable, -2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "cell", "kind"),
+    [("on_in", "true", "Boolean"), ("count_in", "3.7", "Int32"), ("label_in", "above", "String"),
+     ("mode_in", "fast", "Enumeration")],
+)  # fmt: skip
+def test_column_of_a_variable_that_is_no_real_number_is_rejected_by_its_type(
+    name, cell, kind, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    path = typed_part(tmp_path)
+    (tmp_path / "two.toml").write_text(f"[parts]\na = '{path.name}'\n")
+    for model, column in ((path.name, name), ("two.toml", f"a.{name}")):
+        (tmp_path / "in.csv").write_text(f"time,{column}\n0,{cell}\n1,{cell}\n")
+        assert main(["simulate", model, "--trust", "--input-file", "in.csv"]) == 2
+        assert f"{column} is of type {kind}; only real inputs follow" in capsys.readouterr().err

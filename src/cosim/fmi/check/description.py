@@ -3,13 +3,13 @@
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from math import isclose, isfinite
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import Unit, parse_unit
+from casadi_models.units import Unit, conversion, parse_unit
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
@@ -234,13 +234,28 @@ def _units(described: Description) -> Iterator[Finding]:
             yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' has no base units")
         if name not in used:
             yield RULES["unit-unused"].about(DESCRIPTION, f"unit '{name}' is not used")
-        for element in (*unit.findall("BaseUnit"), *unit.findall("DisplayUnit")):
-            factor = _finite(element.get("factor", "1"))
-            if not factor or _finite(element.get("offset", "0")) is None:
-                fault = f"unit '{name}': factor or offset of {element.tag} is no finite number"
-                yield RULES["unit"].about(DESCRIPTION, fault)
+        for fault_rule, fault in _factor_faults(unit):
+            yield fault_rule.about(DESCRIPTION, f"unit '{name}': {fault}")
     for name in sorted(used - set(names)):
         yield RULES["unit"].about(DESCRIPTION, f"unit '{name}' is not defined")
+
+
+def _factor_faults(unit: ET.Element) -> Iterator[tuple[Rule, str]]:
+    """Check factors and offsets; known display units have those of their names."""
+    own = parse_unit(unit.get("name", ""))
+    for element in (*unit.findall("BaseUnit"), *unit.findall("DisplayUnit")):
+        factor, offset = (_finite(element.get(n, d)) for n, d in (("factor", "1"), ("offset", "0")))
+        if not factor or offset is None:
+            yield RULES["unit"], f"factor or offset of {element.tag} is no finite number"
+            continue
+        inverse = element.get("inverse") in ("true", "1")
+        shown = None if inverse else parse_unit(element.get("name", ""))
+        if own and shown and own.measures_like(shown):
+            usual = conversion(own, shown)
+            if not all(map(partial(isclose, rel_tol=_ROUNDING), (factor, offset), usual)):
+                fault = f"display unit '{element.get('name')}' has factor {factor:g} and offset "
+                fault += f"{offset:g} instead of {usual[0]:g} and {usual[1]:g}"
+                yield RULES["unit-base"], fault
 
 
 def _variable_findings(described: Description, variable: Described) -> Iterator[tuple[Rule, str]]:

@@ -19,7 +19,6 @@ from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
 from cosim.fmi.check.trials.motion import motion
 from cosim.fmi.check.trials.start import (
     callbacks,
-    defaults,
     fixed,
     initialization,
     instances,
@@ -29,8 +28,9 @@ from cosim.fmi.check.trials.start import (
     start,
     time,
 )
-from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, settings, steps, stop
+from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, steps, stop
 from cosim.fmi.check.trials.switching import switching
+from cosim.fmi.check.trials.values import bounds, defaults, settings
 from cosim.fmi.run.instance import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
@@ -41,7 +41,7 @@ from cosim.text import sentence
 TRIALS: tuple[Trial, ...] = (
     *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
     *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, switching, stop, steps, calls, sources),
+    *(motion, switching, bounds, stop, steps, calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger", "memory"})  # the latter makes thousands of instances
@@ -84,11 +84,11 @@ class TrialResults:
             known = {(f.place, f.found): f.rule for f in self.findings if f.importers == FAILED}
             same = next((known[key] for f in found if (key := (f.place, f.found)) in known), "")
             note = "".join(f": {note}" for note in line["notes"])
+            if not same:
+                self.findings += found
             if reason := line["skipped"] or (same and f"it fails like {same}"):
                 self.skipped.append(f"{_called(stopped)}: {reason}")
-            elif found:
-                self.findings += found
-            else:
+            elif not found:
                 self.passed.append(_called(stopped) + note)
             if found and stopped[0] == TRIALS[0].__name__:
                 failed.add(stopped[1])

@@ -274,7 +274,7 @@ def checked_values(
 def _kind_of(variable: Any) -> str:
     """Return what a variable is that is not a single number, with what to do."""
     if not variable.dimensions:
-        return f"a {variable.type}"
+        return f"of type {variable.type}"
     first = ",".join("1" * len(variable.dimensions))
     return f"an array; name its elements, such as {variable.name}[{first}]"
 

@@ -32,6 +32,7 @@ from cosim.fmi.run.request import FmuRequest
 MOST_NAMES = 5  # in one finding
 MEMORY_GROWTH = 2**19  # bytes; what is less does not count
 _VISITS, _FOR_VISITS = 3, 1 / 24  # states within a run; share of all time
+_POINTS = 211.3  # output times of a run: few of them are those of an event
 _MEMORY = Path("/proc/self/statm")
 
 
@@ -153,10 +154,17 @@ class Bench:
         """Return the size of communication steps that the file names, s; 0.01 if it does not."""
         return self.internal_step(kind) or self.experiment("stepSize") or 0.01
 
+    def output_interval(self, kind: str) -> float:
+        """Return the distance of the output times of a whole run, s."""
+        fixed = kind == "CoSimulation" and not self.offers(
+            kind, "canHandleVariableCommunicationStepSize"
+        )
+        return self.step_size(kind) if fixed else self.span / _POINTS
+
     @contextmanager
-    def session(self, kind: str) -> Iterator["Session"]:
-        """Yield an instance, not yet initialized."""
-        with instantiated(self.folder, self.fmpy, kind, self.name) as (instance, _):
+    def session(self, kind: str, **callback: Any) -> Iterator["Session"]:
+        """Yield an instance, not yet initialized; `callback` is that of `instantiated`."""
+        with instantiated(self.folder, self.fmpy, kind, self.name, **callback) as (instance, _):
             yield Session(self, kind, instance)
 
     def run(

@@ -10,6 +10,7 @@ from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Note, Session, Skipped, altered
+from cosim.fmi.run.instance import enter_continuous_time
 from cosim.text import shortened
 
 
@@ -32,7 +33,11 @@ def moved_unknowns(
     session: Session, unknowns: Sequence[Described], known: Known, states: Vector, value: float
 ) -> Vector:
     """Return the unknowns after one known is set to another value."""
-    if known.state is None:
+    if not known.required:  # a parameter
+        session.instance.enterEventMode()
+        session.put(known.variable, value)
+        enter_continuous_time(session.instance)
+    elif known.state is None:
         session.put(known.variable, value)
     else:
         changed = states.copy()
@@ -222,6 +227,12 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
                 session.instance.setTime(time)
                 _go_to(session, knowns, at)
                 findings = findings or list(_compared(session, unknowns, knowns, at))
+        yield from findings
+    tunable = [known for known in knowns_of(bench) if not known.required]
+    with suppress(Exception), bench.session(kind) as session:  # it need not provide these
+        session.start()
+        at = session.values([known.variable for known in tunable])
+        findings = list(_compared(session, unknowns, tunable, at))
         yield from findings
 
 

@@ -1,6 +1,6 @@
 """Trials of an FMU's initialization, and of the repeatability of its runs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import Any
@@ -9,12 +9,13 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding, Rule
+from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
 from cosim.text import shortened
 
 _NOISE = 1e-9  # of an output in nominal values
 _WHOLE = 1.0  # s; a multiple of most fixed steps inside
-_ROUNDING = 1e-6  # of a start value, as people write it, and of a time
+_ROUNDING = 1e-6  # of a time
 
 
 def start(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -57,29 +58,22 @@ def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
         if not abs(early - late) <= _NOISE * scale and not (np.isnan(early) and np.isnan(late)):
             found = f"it is {early:.6g} in initialization mode, {late:.6g} right after it"
             yield TRIAL_RULES["other-early"].at(output.name, found)
+    if kind == "CoSimulation" and "ModelExchange" in bench.described.interfaces:
+        yield from _exchanged_start(bench, outputs, before)
 
 
-def defaults(bench: Bench, kind: str) -> Iterator[Finding]:
-    """The library begins with the start values of the file."""
-    every = filter(bench.single, bench.described.variables)
-    listed = [v for v in every if "start" in v.texts and v.initial in ("exact", None)]
-    if not listed:
-        raise Skipped("it has no real variable that begins with its start value")
-    # an event at the start may change these afterwards
-    moving = np.array([v.causality not in ("parameter", "input") for v in listed])
-    with bench.session(kind) as session:
+def _exchanged_start(
+    bench: Bench, outputs: Sequence[Described], found: Vector
+) -> Iterator[Finding]:
+    """Compare outputs in initialization mode of co-simulation with those of model exchange."""
+    exact = found
+    with bench.session("ModelExchange") as session, suppress(Exception):  # which fails by itself
         session.enter()
-        early = np.full(len(listed), np.nan)
-        with suppress(Exception):  # not all can be read in initialization mode
-            early[:] = session.values(listed)
-        session.instance.exitInitializationMode()
-        late = session.values(listed)
-        early = np.where(moving & ~np.isnan(early), early, late)
-        for variable, before, value in zip(listed, early, late, strict=True):
-            start = float(variable.texts["start"])
-            if not min(abs(before - start), abs(value - start)) <= _ROUNDING * abs(start):
-                found = f"the file says {start:.10g}, the library {value:.10g}"
-                yield TRIAL_RULES["defaults"].at(variable.name, found)
+        exact = session.values(outputs)
+    for output, own, other in zip(outputs, found, exact, strict=True):
+        if abs(own - other) > 10 * bench.tolerance * max(abs(other), output.nominal):
+            text = f"it starts with {own:.6g}, in model exchange with {other:.6g}"
+            yield TRIAL_RULES["starts-otherwise"].at(output.name, text)
 
 
 def time(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -155,7 +149,13 @@ def reset(bench: Bench, kind: str) -> Iterator[Finding]:
         _disturb(session)
         session.instance.reset()
         again = few_numbers(session)
-    yield from _same(TRIAL_RULES["reset"], session, first, again, "a run after reset differs")
+        yield from _same(TRIAL_RULES["reset"], session, first, again, "a run after reset differs")
+        with suppress(Exception), bench.session(kind) as fresh:  # it may reject values
+            expected = few_numbers(fresh, other_settings=True)
+            session.instance.reset()
+            found = few_numbers(session, other_settings=True)
+            text = "a run with other values after reset differs from that of a new instance"
+            yield from _same(TRIAL_RULES["reset"], session, expected, found, text)
 
 
 def instances(bench: Bench, kind: str) -> Iterator[Finding]:
@@ -209,11 +209,20 @@ def _disturb(session: Session) -> None:
             session.put(variable, altered(variable, value, 0.1))
 
 
-def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
+def few_numbers(
+    session: Session,
+    other: Session | None = None,
+    *,
+    started: bool = False,
+    other_settings: bool = False,
+) -> Vector:
     """Run a little and return all outputs; in model exchange, outputs and slopes of two states.
 
     The other instance is always ahead.
     """
+    if other_settings:
+        for v in (*session.bench.reals("parameter"), *session.bench.reals("input", "continuous")):
+            session.put(v, altered(v, float(v.texts["start"]), 0.02))
     if not started:
         session.start()
     bench, outputs = session.bench, session.bench.outputs()

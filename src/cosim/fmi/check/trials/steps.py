@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, suppress
 from itertools import islice
+from math import isclose
 from pathlib import Path
 from time import monotonic
 
@@ -22,7 +23,6 @@ from cosim.fmi.check.trials.bench import (
     Note,
     Session,
     Skipped,
-    altered,
     memory_in_use,
 )
 from cosim.fmi.check.trials.derivatives import need_model_exchange, offers_directional
@@ -35,8 +35,9 @@ _FOR_STEPS, _FOR_INSTANCES = 1 / 12, 1 / 24  # share of all time
 _FEW_STEPS = 10
 _MOST_INSTANCES = 10_000
 _MOST_LOOKS, _AT_ONCE = 400, 100  # at the memory; calls between two of them
+_MOST_WITHOUT_UPDATE = 1000  # steps: those of a solver inside may be longer
 _NOISE = 1e-12  # of numbers that two functions give
-_FAR, _NEAR = 0.5, 0.02  # changes of settings, of their size
+_ROUNDING = 1e-6  # of a nominal value, as people write it
 _REMEMBERED = 1e-6  # of a value: what iterations inside may leave of earlier calls
 
 
@@ -222,6 +223,10 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
         nominals = session.all_of("getNominalsOfContinuousStates", len(states))
         if not (np.isfinite(nominals) & (nominals > 0)).all():
             yield rule.at(kind, f"a state has the nominal value {nominals.min():g}")
+        for state, nominal in zip(states, nominals, strict=True):
+            if "nominal" in state.texts and not isclose(nominal, state.nominal, rel_tol=_ROUNDING):
+                text = f"its nominal value is {nominal:g}, in the file {state.nominal:g}"
+                yield TRIAL_RULES["nominals"].at(state.name, text)
         indicators = bench.fmpy.numberOfEventIndicators or 0
         session.all_of("getEventIndicators", indicators)
         if not bench.second:
@@ -275,40 +280,6 @@ def _remembered(session: Session, variables: Sequence[Described]) -> Iterator[Fi
         yield TRIAL_RULES["exchange"].at(variables[i].name, text)
 
 
-def settings(bench: Bench, kind: str) -> Iterator[Finding]:
-    """Parameters and inputs keep the values that they are given before the start."""
-    every = bench.reals("parameter") + bench.reals("input", "continuous")
-    known = [v for v in every if "start" in v.texts]
-    try:
-        findings = list(_settings(bench, kind, known, _FAR))
-    except Skipped:
-        findings = list(_settings(bench, kind, known, _NEAR))
-    yield from findings
-
-
-def _settings(
-    bench: Bench, kind: str, known: Sequence[Described], share: float
-) -> Iterator[Finding]:
-    """Set variables before the start to values that differ by a share of their size."""
-    given = dict[str, float]()
-    with bench.session(kind) as session:
-        for variable in known:
-            start = float(variable.texts["start"])
-            session.put(variable, start)  # which none may reject
-            with suppress(Exception):
-                session.put(variable, value := altered(variable, start, share))
-                given[variable.name] = value
-        try:
-            session.start()
-        except Exception as error:
-            raise Skipped(f"it does not start with other parameters: {error}") from error
-        for variable, value in zip(known, session.values(known), strict=True):
-            wanted = given.get(variable.name, value)
-            if not abs(value - wanted) <= _NOISE * abs(wanted):
-                found = f"it was set to {wanted:.10g} before the start and is {value:.10g}"
-                yield TRIAL_RULES["settings"].at(variable.name, found)
-
-
 def calls(bench: Bench, kind: str) -> Iterator[Finding]:
     """It tells its version; its outputs can be read after the end, as the last step left them."""
     outputs = bench.outputs()
@@ -329,6 +300,33 @@ def calls(bench: Bench, kind: str) -> Iterator[Finding]:
         instance.terminate()
         if session.values(outputs).tobytes() != last.tobytes():
             yield TRIAL_RULES["calls"].at(kind, "its outputs change at the end")
+    if bench.offers(kind, "providesIntermediateUpdate"):
+        yield from _updates(bench, kind)
+
+
+def _updates(bench: Bench, kind: str) -> Iterator[Finding]:
+    """Steps of FMI 3.0 call the importer back, at times within them."""
+    times = list[float]()
+    names = [int(v.reference) for v in bench.reals("input", "continuous")]
+    callback = {
+        "intermediateUpdate": lambda _environment, time, *_: times.append(time),
+        "requiredIntermediateVariables": names,
+    }
+    with bench.session(kind, **callback) as session:
+        session.start()
+        begin, end = session.time, session.time
+        for time in session.steps(bench.output_interval(kind), _MOST_WITHOUT_UPDATE):
+            end = time
+            if times:
+                break
+    noise = 1e-9 * max(abs(end), end - begin)
+    wrong = [time for time in times if not begin - noise <= time <= end + noise]
+    if wrong:
+        found = f"it updates at {wrong[0]:.9g} s in steps from {begin:g} to {end:.9g} s"
+        yield TRIAL_RULES["calls"].at("fmi3IntermediateUpdateCallback", found)
+    elif not times and end > begin:
+        found = f"no step calls it, from {begin:g} to {end:.9g} s"
+        yield TRIAL_RULES["updates"].at("fmi3IntermediateUpdateCallback", found)
 
 
 def _answers_of_a_step(session: Session) -> Iterator[Finding]:
