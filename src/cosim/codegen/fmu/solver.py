@@ -43,6 +43,11 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
     return wanted
 
 
+def fixed_stages(solver: str) -> int:
+    """Return the stages of a step of fixed size; 0 if a solver controls its steps."""
+    return len(FIXED_STEPS[solver].b) if solver in FIXED_STEPS else 0
+
+
 def uses_dop853(dae: Dae, solver: str) -> bool:
     """Tell whether the FMU contains the runtime's own solver; that needs at least one state."""
     return solver == DOP853 and bool(dae.states)

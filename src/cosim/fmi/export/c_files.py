@@ -9,7 +9,7 @@ import casadi as ca
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
 from cosim.codegen.fmu.equations import bounded_limits, generated_code
-from cosim.codegen.fmu.solver import most_trials
+from cosim.codegen.fmu.solver import fixed_stages, most_trials
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pieces import in_pieces
@@ -49,7 +49,7 @@ def model_header(plan: Plan, guid: str) -> str:
 #define HAS_ADJOINT {int(options.fmi == 3 and options.derivatives)}
 #define NO_DERIVATIVES {int(not options.derivatives)}
 #define SOLVER_DOP853 {int(plan.dop853)}
-#define FIXED_STEPS {int(step_size is not None)}
+#define FIXED_STEPS {fixed_stages(plan.solver)}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae, plan.solver)}
 {_event_sizes(plan.system)}#endif
