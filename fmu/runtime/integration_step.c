@@ -185,6 +185,7 @@ static bool end_at_crossing(Instance *self, const State *from, const double *sta
     if (!through_ends(self, from, &to, &made)) return false;
     made.quintic.slope = slope_within;
     made.quintic.owner = &made;
+    made.quintic.looks = looks_for(ORDER_OF_STEPS);
     const Motion motion = {.solver = &made,
                            .at = within_step,
                            .step_to = step_again,

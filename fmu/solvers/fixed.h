@@ -11,7 +11,7 @@ enum { MOST_STAGES = 16 };
 
 /* The coefficients as straight-line code, which is generated. */
 typedef struct {
-    int stages;
+    int order, stages;
     const double *node;
     void (*sum)(int row, const double (*k)[NX], double *sum); /* row `stages`: of the step */
 } Method;
@@ -88,7 +88,8 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
                                      .ends = {made.x, x},
                                      .slopes = {made.slope, slope_ahead},
                                      .slope = problem_slope,
-                                     .owner = self};
+                                     .owner = self,
+                                     .looks = looks_for(method.order)};
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
             Step step = {.watch = watch,
                          .t = t,

@@ -1,6 +1,6 @@
 /* A step on polynomials of degree 5: the cubics through both of its ends, and what the equations
- * tell at two places where the slope of a cubic is off most. A second look at these places makes it
- * more accurate, and so on, as fast as steps are short beside the motion.
+ * tell at two places where the slope of a cubic is off most. Each look at these places makes the
+ * motion an order more accurate, as far as it makes sense.
  *
  * Source  Enright, Jackson, Norsett & Thomsen, Interpolants for Runge-Kutta formulas, ACM
  *         Transactions on Mathematical Software 12, 1986.
@@ -23,14 +23,18 @@ typedef struct {
 typedef struct Quintic {
     double t, h;
     const double *ends[2], *slopes[2];
-    Slope *slope; /* dx/dt by the equations; NULL: only the cubic is known */
+    Slope *slope; /* dx/dt by the equations */
     void *owner;
     double even[NX + 1], odd[NX + 1]; /* h s^2 r^2 (even + odd (s - 1/2)) adds to the cubic */
     Off off;                          /* what the last look has changed at most */
-    int looks;
+    int looks;                        /* that are left */
 } Quintic;
 
-enum { MOST_LOOKS_AT_SLOPES = 3 };
+/* Looks that make sense where the error of a step is of this order, more than that of a cubic. */
+static inline int looks_for(int order) {
+    const int most = 3; /* then it is as near as it gets by two places */
+    return order - 3 < most ? order - 3 : most;
+}
 
 /* How far from the middle of a step it is looked at: the root of 1/12. */
 static const double FROM_MIDDLE = 0.28867513459481288;
@@ -50,14 +54,14 @@ static inline void on_quintic(const Quintic *self, double t, double *x, double *
 static inline bool sharpen(Quintic *self) {
     double missing[2][NX + 1];
     bool moved = false;
-    if (!self->slope || self->looks >= MOST_LOOKS_AT_SLOPES) return false;
-    ++self->looks;
+    if (self->looks <= 0) return false;
+    --self->looks;
     for (int k = 0; k < 2; ++k) {
         double x[NX + 1], dx[NX + 1];
         const double t = self->t + self->h * (0.5 + (k ? FROM_MIDDLE : -FROM_MIDDLE));
         on_quintic(self, t, x, dx);
         if (self->slope(self->owner, t, x, missing[k]) || !is_finite(missing[k])) {
-            self->looks = MOST_LOOKS_AT_SLOPES;
+            self->looks = 0;
             return false;
         }
         for (int i = 0; i < NX; ++i) missing[k][i] -= dx[i];
@@ -72,7 +76,7 @@ static inline bool sharpen(Quintic *self) {
         const double size = fmax(fabs(self->ends[0][i]), fabs(self->ends[1][i]));
         moved |= self->off.states[i] > 4 * DBL_EPSILON * size;
     }
-    if (!moved) self->looks = MOST_LOOKS_AT_SLOPES;
+    if (!moved) self->looks = 0;
     return true;
 }
 

@@ -43,9 +43,10 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
     return wanted
 
 
-def fixed_stages(solver: str) -> int:
-    """Return the stages of a step of fixed size; 0 if a solver controls its steps."""
-    return len(FIXED_STEPS[solver].b) if solver in FIXED_STEPS else 0
+def of_fixed_steps(solver: str) -> tuple[int, int]:
+    """Return the stages and the order of a solver's steps; 0 if it controls their size."""
+    method = FIXED_STEPS.get(solver)
+    return (len(method.b), method.order) if method else (0, 0)
 
 
 def uses_dop853(dae: Dae, solver: str) -> bool:
