@@ -27,6 +27,7 @@ typedef struct Quintic {
     void *owner;
     double even[NX + 1], odd[NX + 1]; /* h s^2 r^2 (even + odd (s - 1/2)) adds to the cubic */
     Off off;                          /* what the last look has changed at most */
+    double change;                    /* the same, relative to the states; 0: none yet */
     int looks;                        /* that are left */
 } Quintic;
 
@@ -50,20 +51,26 @@ static inline void on_quintic(const Quintic *self, double t, double *x, double *
     }
 }
 
-/* Makes it more accurate; false where it is as accurate as it gets. */
+/* Back to the cubic, where the equations tell nothing of the motion. */
+static inline bool give_up(Quintic *self) {
+    memset(self->even, 0, sizeof self->even);
+    memset(self->odd, 0, sizeof self->odd);
+    self->looks = 0;
+    return false;
+}
+
+/* Makes it more accurate; false where it is as accurate as it gets. A step that is too long for the
+ * equations, as where a solver is not stable, changes more with each look. */
 static inline bool sharpen(Quintic *self) {
-    double missing[2][NX + 1];
-    bool moved = false;
+    double missing[2][NX + 1], change = 0;
     if (self->looks <= 0) return false;
     --self->looks;
     for (int k = 0; k < 2; ++k) {
         double x[NX + 1], dx[NX + 1];
         const double t = self->t + self->h * (0.5 + (k ? FROM_MIDDLE : -FROM_MIDDLE));
         on_quintic(self, t, x, dx);
-        if (self->slope(self->owner, t, x, missing[k]) || !is_finite(missing[k])) {
-            self->looks = 0;
-            return false;
-        }
+        if (self->slope(self->owner, t, x, missing[k]) || !is_finite(missing[k]))
+            return give_up(self);
         for (int i = 0; i < NX; ++i) missing[k][i] -= dx[i];
     }
     for (int i = 0; i < NX; ++i) {
@@ -73,10 +80,13 @@ static inline bool sharpen(Quintic *self) {
         self->odd[i] += odd;
         self->off.states[i] = self->h * (fabs(even) / 16 + fabs(odd) / 100);
         self->off.rates[i] = fabs(even) / 5 + fabs(odd) / 16;
-        const double size = fmax(fabs(self->ends[0][i]), fabs(self->ends[1][i]));
-        moved |= self->off.states[i] > 4 * DBL_EPSILON * size;
+        const double size = fmax(fabs(self->ends[0][i]), fabs(self->ends[1][i])) +
+                            self->h * fmax(fabs(self->slopes[0][i]), fabs(self->slopes[1][i]));
+        change = fmax(change, self->off.states[i] / size);
     }
-    if (!moved) self->looks = 0;
+    if (self->change > 0 && change > self->change) return give_up(self);
+    if (change <= 4 * DBL_EPSILON) self->looks = 0;
+    self->change = change;
     return true;
 }
 
