@@ -20,7 +20,7 @@
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_enclosure          t, length (1), low, high, slowest, fastest, u, p -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
-   model_step               x, z_guess, (t, h, tolerance, u, du, c) -> x_end, z_end
+   model_step               x, z_guess, (t, h, tolerance, u, du, c) -> x_end, z_end, slopes
 
    The constants c are the parameters and, after them, what depends on parameters alone: they are
    passed for p, too.
@@ -28,7 +28,8 @@
    The start derivative is of x as function of t, the exact starts, u and p: calculated entries of
    seed_x have no influence. model_directional and model_adjoint see z as function of the rest, and
    so does model_jacobian: derivatives of dx and z with respect to x and u, column by column, dense.
-   model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1.
+   model_step integrates from t to t + h with the inputs u + s du, s from 0 to 1; with
+   FIXED_STEPS it gives the slopes of its stages, one after the other.
 
    The model holds while each margin is positive; `limits` in variables.h says what that means.
 

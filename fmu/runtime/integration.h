@@ -4,13 +4,18 @@
 
 #include "state.h"
 
+typedef struct Quintic Quintic;
+
 /* What the solver knows of the motion within its step: `box`, between which values the states stay,
-   or NULL; and fresh steps from where that began: these return false where they fail. */
+   or NULL; and fresh steps from where that began: these return false where they fail. Where steps
+   have a fixed size, also the slopes of their stages and what makes `at` more accurate. */
 typedef struct {
     void *solver;
     void (*at)(void *solver, double t, double x[], double z[], double u[]);
     void (*box)(void *solver, double low[], double high[]);
     bool (*step_to)(void *solver, double t, double x[], double z[], double u[]);
+    const double *stages;
+    Quintic *quintic;
 } Motion;
 
 /* Integrate up to `end`, or as far as it goes; time tells. Inputs move with their slopes. True

@@ -147,7 +147,7 @@ static void box_of_step(void *step, double low[], double high[]) {
 /* Note when an accepted step leaves limits, where it has an interpolant. */
 static void look_at_limits(Problem *self, SolverMemory *memory, double after) {
     Step made = {.problem = self, .memory = memory};
-    const Motion motion = {&made, within_step, box_of_step, NULL};
+    const Motion motion = {.solver = &made, .at = within_step, .box = box_of_step};
     find_leaving(self->fmu, &motion, memory->until, after, memory->leaves);
 }
 
@@ -174,7 +174,7 @@ static bool step_again(void *step, double t, double x[], double z[], double u[])
 static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
                             double *after, double x[]) {
     Step last = {.ode = ode, .problem = self, .memory = memory, .k = (Slopes *)k};
-    const Motion motion = {&last, within_step, NULL, step_again};
+    const Motion motion = {.solver = &last, .at = within_step, .step_to = step_again};
     Crossing crossing;
     memory->crossing = 0;
     const bool goes_on = memory->rested > 0 && *after < next_event(self->fmu);

@@ -1,28 +1,29 @@
 /* Co-simulation by a generated solver, which starts anew in every communication step.
 
-   With FIXED_STEPS, a communication step has equal steps, no longer than LARGEST_STEP, and the work
-   is the same in each of them; only an event divides one. */
+   With FIXED_STEPS, which tells how many stages they have, a communication step has equal steps, no
+   longer than LARGEST_STEP, and the work is the same in each of them; only an event divides one. */
 #include "integration.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-#include "cubic.h"
 #include "equations.h"
 #include "evaluation.h"
 #include "events.h"
 #include "input_motion.h"
 #include "logging.h"
 #include "midway.h"
+#include "quintic.h"
 
 /* Attempts in one communication step without events. A failed one is repeated at a quarter of its
    length, so that the step ends within about 4^-5 of its length before what stops it. Failed
    attempts times the integrator's own limit of steps bound the work of a call. */
 enum { MOST_PARTS = 50, MOST_ATTEMPTS = 12, MOST_FAILED = 6 };
 
-/* Integrate up to a time; on failure nothing has changed. */
-static bool advance(Instance *self, double end) {
+/* Integrate up to a time; on failure nothing has changed. `stages`: takes the slopes of the stages
+   of a step of fixed size, or NULL. */
+static bool advance(Instance *self, double end, double *stages) {
     double *values = self->state.values;
     const double length = end - values[TIME];
     double q[3 + (1 + MOST_INPUT_ORDER) * NU + NC], x[ROOM(NX)] = {0}, z[ROOM(NZ)] = {0};
@@ -41,6 +42,7 @@ static bool advance(Instance *self, double end) {
     self->arg[2] = q;
     self->res[0] = x;
     self->res[1] = z;
+    self->res[2] = stages;
     if (model_step(self->arg, self->res, self->iw, self->w, 0)) return false;
     if (!all_finite(x, NX) || !all_finite(z, NZ)) return false;
 
@@ -68,49 +70,55 @@ double typical_step(Instance *self) {
     return fmin(LARGEST_STEP, 0.1 * fmax(size, 0.01) / fmax(rate, DBL_MIN));
 }
 
-/* A step that has been made, and the cubic through both of its ends. */
+/* A step that has been made, and the motion within it. */
 typedef struct {
     Instance *fmu;
     const State *from, *to;
     double slopes[2][ROOM(NX)];
-} Cubic;
+    Quintic quintic;
+} Made;
 
-static void within_step(void *cubic, double t, double x[], double z[], double u[]) {
-    const Cubic *self = cubic;
-    const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
-    double rate;
-    for (int i = 0; i < NX; i++)
-        x[i] = on_cubic(a[FIRST_STATE + i], b[FIRST_STATE + i], self->slopes[0][i],
-                        self->slopes[1][i], h, (t - a[TIME]) / h, &rate);
-    memcpy(z, a + FIRST_ALGEBRAIC, NZ * sizeof *z);
+static void within_step(void *made, double t, double x[], double z[], double u[]) {
+    const Made *self = made;
+    double rates[ROOM(NX)];
+    on_quintic(&self->quintic, t, x, rates);
+    memcpy(z, self->from->values + FIRST_ALGEBRAIC, NZ * sizeof *z);
     inputs_at(self->fmu, t, u);
 }
 
-static void box_of_step(void *cubic, double low[], double high[]) {
-    const Cubic *self = cubic;
+static void box_of_step(void *made, double low[], double high[]) {
+    const Made *self = made;
     const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
     for (int i = 0; i < NX; i++)
         box_of_cubic(a[FIRST_STATE + i], b[FIRST_STATE + i], self->slopes[0][i], self->slopes[1][i],
                      h, &low[i], &high[i]);
 }
 
-/* The cubic of a step from a state to the present one, whose derivatives must be fresh there. */
-static bool through_ends(Instance *self, const State *from, Cubic *cubic) {
-    cubic->fmu = self;
-    cubic->from = from;
-    memcpy(cubic->slopes[0], from->values + FIRST_DERIVATIVE, NX * sizeof(double));
+/* The cubic of a step from a state, whose derivatives must be fresh, to the present one, which `to`
+   takes. */
+static bool through_ends(Instance *self, const State *from, State *to, Made *made) {
     if (refresh(self, DERIVATIVES) != OK) return false;
-    memcpy(cubic->slopes[1], self->state.values + FIRST_DERIVATIVE, NX * sizeof(double));
+    *to = self->state;
+    const double *a = from->values, *b = to->values;
+    made->fmu = self;
+    made->from = from;
+    made->to = to;
+    memcpy(made->slopes[0], a + FIRST_DERIVATIVE, NX * sizeof *a);
+    memcpy(made->slopes[1], b + FIRST_DERIVATIVE, NX * sizeof *b);
+    made->quintic = (Quintic){.t = a[TIME],
+                              .h = b[TIME] - a[TIME],
+                              .ends = {a + FIRST_STATE, b + FIRST_STATE},
+                              .slopes = {made->slopes[0], made->slopes[1]}};
     return true;
 }
 
 /* When the cubic of a step that ends here leaves each limit first, up to a time. */
 static bool leaving_on_cubic(Instance *self, const State *from, double end, double leaving[]) {
-    Cubic cubic;
-    if (!through_ends(self, from, &cubic)) return false;
-    const State to = self->state;
-    cubic.to = &to;
-    const Motion motion = {&cubic, within_step, end > to.values[TIME] ? NULL : box_of_step, NULL};
+    Made made;
+    State to;
+    if (!through_ends(self, from, &to, &made)) return false;
+    const Motion motion = {
+        .solver = &made, .at = within_step, .box = end > to.values[TIME] ? NULL : box_of_step};
     find_leaving(self, &motion, from->values[TIME], end, leaving);
     return true;
 }
@@ -128,7 +136,7 @@ static void look_at_limits(Instance *self, const State *from) {
         if (!(leaving[i] > begin && leaving[i] < end)) continue;
         const double beyond = fmin(leaving[i] + (end - begin) / NEAR, end);
         self->state = *from;
-        if (advance(self, leaving[i]) && leaving_on_cubic(self, from, beyond, better))
+        if (advance(self, leaving[i], NULL) && leaving_on_cubic(self, from, beyond, better))
             leaving[i] = better[i];
         self->state = to;
     }
@@ -143,11 +151,11 @@ static const double SHORTER = 0.25, LONGER = 1.2;
 
 #if HAS_EVENTS
 /* Repeat the step so that it ends at a time; the instance is there then. */
-static bool step_again(void *cubic, double t, double x[], double z[], double u[]) {
-    const Cubic *self = cubic;
+static bool step_again(void *made, double t, double x[], double z[], double u[]) {
+    const Made *self = made;
     const double *values = self->fmu->state.values;
     self->fmu->state = *self->from;
-    if (t > self->from->values[TIME] && !advance(self->fmu, t)) return false;
+    if (t > self->from->values[TIME] && !advance(self->fmu, t, NULL)) return false;
     if (refresh(self->fmu, ALGEBRAICS) != OK) return false;
     memcpy(x, values + FIRST_STATE, NX * sizeof *x);
     memcpy(z, values + FIRST_ALGEBRAIC, NZ * sizeof *z);
@@ -155,13 +163,34 @@ static bool step_again(void *cubic, double t, double x[], double z[], double u[]
     return true;
 }
 
+/* dx/dt within the step. */
+static int slope_within(void *made, double t, const double *x, double *dx) {
+    const Made *self = made;
+    Instance *fmu = self->fmu;
+    double *values = fmu->state.values;
+    memcpy(values + FIRST_STATE, x, NX * sizeof *x);
+    move_inputs(fmu, t);
+    fmu->state.stale |= AFTER_START;
+    const bool known = refresh(fmu, DERIVATIVES) == OK;
+    memcpy(dx, values + FIRST_DERIVATIVE, NX * sizeof *dx);
+    fmu->state = *self->to;
+    return !known;
+}
+
 /* End a step that has been made where a relation first leaves its mode, if one does. */
-static bool end_at_crossing(Instance *self, const State *from, int *relation) {
-    Cubic cubic;
-    if (!through_ends(self, from, &cubic)) return false;
-    const State to = self->state;
-    cubic.to = &to;
-    const Motion motion = {&cubic, within_step, NULL, step_again};
+static bool end_at_crossing(Instance *self, const State *from, const double *stages,
+                            int *relation) {
+    Made made;
+    State to;
+    if (!through_ends(self, from, &to, &made)) return false;
+    made.quintic.slope = slope_within;
+    made.quintic.owner = &made;
+    made.quintic.looks = looks_for(ORDER_OF_STEPS);
+    const Motion motion = {.solver = &made,
+                           .at = within_step,
+                           .step_to = step_again,
+                           .stages = stages,
+                           .quintic = FIXED_STEPS > 0 ? &made.quintic : NULL};
     Crossing crossing;
     const double begin = from->values[TIME], end = to.values[TIME];
     const bool goes_on = inputs_rest(self) && end < next_event(self);
@@ -186,6 +215,7 @@ static bool cannot_slide(Instance *self) {
 bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME];
     double length = fmin(end - *time, LARGEST_STEP);
+    double stages[ROOM(FIXED_STEPS * NX)];
     int relation = -1;
     if (!start_over(self) || refresh(self, ALGEBRAICS) != OK) return false;
     if (event_waits(self)) return true;
@@ -204,8 +234,8 @@ bool integrate_to(Instance *self, double end) {
         const double goal = fmin(end, next_event(self)), rest = goal - *time;
         const State before = self->state;
         const bool last = length >= rest;
-        if (advance(self, last ? goal : *time + length)) {
-            if (!end_at_crossing(self, &before, &relation)) {
+        if (advance(self, last ? goal : *time + length, FIXED_STEPS > 0 ? stages : NULL)) {
+            if (!end_at_crossing(self, &before, stages, &relation)) {
                 self->state = before;
                 return false;
             }
@@ -230,7 +260,7 @@ static int watched_step(Instance *self, double end) {
     if (self->state.watch.looks == 0) begin_watching(self);
 #endif
     const State before = self->state;
-    if (!advance(self, end)) return FAILED;
+    if (!advance(self, end, NULL)) return FAILED;
     look_at_limits(self, &before);
 #if HAS_RANK
     if (look_back(self, DISCARD) != OK) {

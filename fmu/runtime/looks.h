@@ -48,7 +48,7 @@ static void warn_of_limits(Instance *self) {
     if (looks->count < 2 || looks->seen > 0) return;
     looks->seen = 1;
     Gap gap = {self, &looks->before, &looks->last};
-    const Motion motion = {&gap, within_gap, box_of_gap, NULL};
+    const Motion motion = {.solver = &gap, .at = within_gap, .box = box_of_gap};
     find_leaving(self, &motion, looks->before.time, looks->last.time, leaving);
     if (!margins_on(self, &motion, looks->last.time, margins)) return;
     for (int i = 0; i < N_LIMITS; i++)
@@ -147,7 +147,7 @@ static void look_between(Instance *self, double insides[]) {
     }
     if (!all || looks->count < 2 || stays_between_looks(self)) return;
     Gap gap = {self, &looks->before, &looks->last};
-    const Motion motion = {&gap, within_gap, NULL, NULL};
+    const Motion motion = {.solver = &gap, .at = within_gap};
     const double now = looks->last.time;
     Place place;
     const int i = left_between(self, &motion, looks->before.time, now, &place);

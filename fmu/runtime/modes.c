@@ -141,6 +141,7 @@ typedef struct {
     Instance *fmu;
     Laws laws;
     const Motion *motion;
+    const Off *off; /* by how much the motion may be off; NULL: by nothing */
 } SearchedStep;
 
 static void look_at(void *step, double t, Place *found) {
@@ -168,7 +169,8 @@ static bool stays(void *step, const Place *a, const Place *b) {
         memcpy(samples[k] + NX, u, NU * sizeof *u);
     }
     return sampled_stays_within(&self->laws, &self->fmu->state.switching, &(Point){a->t, x, z, u},
-                                b->t - a->t, (const Sample *)samples, a->inside, b->inside);
+                                b->t - a->t, (const Sample *)samples, self->off, a->inside,
+                                b->inside);
 #else
     (void)step, (void)a, (void)b;
     return true;
@@ -187,24 +189,60 @@ static void let_go(SearchedStep *self, double end) {
         note_inside(&self->laws, s, modes_of(&at), seen.arguments);
 }
 
+#if FIXED_STEPS > 0
+/* Whether bounds prove that no relation leaves its mode in a whole step. */
+static bool is_quiet(SearchedStep *self, const Point *at, const Place *a, const Place *b) {
+#if ENCLOSED > 0
+    const Motion *motion = self->motion;
+    const double length = b->t - a->t;
+    double x[ROOM(NX)], z[ROOM(NZ)];
+    Sample samples[NODES];
+    Spans spans;
+    for (int k = 0; k < NODES; k++)
+        motion->at(motion->solver, node_between(a->t, b->t, k), x, z, samples[k] + NX);
+    for (int i = NX; i < NX + NU - MODES; i++)
+        enclose_motion((const Sample *)samples, i, length, &spans);
+    return stays_by_slopes(&self->laws, &self->fmu->state.switching, at, length, motion->stages,
+                           FIXED_STEPS, &spans, a->inside, b->inside) ||
+           stays_sharply(stays, self, motion->quintic, &self->off, a, b);
+#else
+    (void)self, (void)at, (void)a, (void)b;
+    return true;
+#endif
+}
+
+static bool stays_anyway(void *step, const Place *a, const Place *b) {
+    (void)step, (void)a, (void)b;
+    return true;
+}
+#endif
+
 bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
                 Crossing *crossing) {
-    SearchedStep step = {self, laws_of(self), motion};
+    SearchedStep step = {self, laws_of(self), motion, NULL};
     Switching *s = &self->state.switching;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
+    Stays *bounds = stays;
     Place before;
     motion->at(motion->solver, begin, x, z, u);
     const Point at = {begin, x, z, u};
     note_slack(&step.laws, s, &at);
     margins_at(&step.laws, s, &at, &before);
-    const Located how =
-        find_crossing(look_at, stays, step_afresh, &step, s, begin, before, end, goes_on, crossing);
+#if FIXED_STEPS > 0
+    Place after;
+    look_at(&step, end, &after);
+    if (outside(&before) < 0 && outside(&after) < 0 && is_quiet(&step, &at, &before, &after))
+        bounds = stays_anyway;
+    if (bounds == stays || is_suspect(s, &before, &after, goes_on)) sharpen_fully(motion->quintic);
+#endif
+    const Located how = find_crossing(look_at, bounds, step_afresh, &step, s, begin, before, end,
+                                      goes_on, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
     return how != FAILS;
 }
 
 int left_between(Instance *self, const Motion *motion, double begin, double end, Place *found) {
-    SearchedStep step = {self, laws_of(self), motion};
+    SearchedStep step = {self, laws_of(self), motion, NULL};
     Place before;
     look_at(&step, begin, &before);
     *found = before;

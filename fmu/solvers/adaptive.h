@@ -205,7 +205,7 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
                        .motion = &self.accepted,
                        .within = within_accepted,
                        .step_to = step_afresh,
-                       .slopes = (const double (*)[NX])self.k,
+                       .slopes = self.k[0],
                        .stages = END + 1,
                        .looked = grid->times};
     if (begin_steps(&self, grid->first)) return NOT_FINITE;

@@ -2,16 +2,16 @@
 #ifndef FIXED_H
 #define FIXED_H
 
-#include "cubic.h"
 #include "interrupt.h"
 #include "projection.h"
+#include "quintic.h"
 #include "watch.h"
 
 enum { MOST_STAGES = 16 };
 
 /* The coefficients as straight-line code, which is generated. */
 typedef struct {
-    int stages;
+    int order, stages;
     const double *node;
     void (*sum)(int row, const double (*k)[NX], double *sum); /* row `stages`: of the step */
 } Method;
@@ -35,25 +35,23 @@ static inline int step_of_method(Problem *self, double t, double h, int first, d
 /* A step that was made, from state and slope at its begin to those at its end. */
 typedef struct {
     Problem *problem;
-    double t, h, x[NX], slope[NX];
-    const double *end, *slope_at_end;
+    double x[NX], slope[NX];
+    Quintic quintic;
 } Made;
 
-/* On the cubic through its ends. */
 static inline int within_made(void *made, double t, double *x, double *dx) {
     const Made *self = made;
-    for (int i = 0; i < NX; ++i)
-        x[i] = on_cubic(self->x[i], self->end[i], self->slope[i], self->slope_at_end[i], self->h,
-                        (t - self->t) / self->h, &dx[i]);
+    on_quintic(&self->quintic, t, x, dx);
     return 0;
 }
 
 static inline int step_shorter(void *made, double t, double *x) {
     const Made *self = made;
+    const double begin = self->quintic.t;
     double k[MOST_STAGES][NX];
     memcpy(x, self->x, sizeof self->x);
     memcpy(k[0], self->slope, sizeof k[0]);
-    return (t > self->t && step_of_method(self->problem, self->t, t - self->t, 1, k, x)) ||
+    return (t > begin && step_of_method(self->problem, begin, t - begin, 1, k, x)) ||
            restore(self->problem, t, x);
 }
 
@@ -61,7 +59,7 @@ static inline int step_shorter(void *made, double t, double *x) {
 static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Course *course) {
     double k[MOST_STAGES][NX], slope_ahead[NX];
     Watch *watch = MODES > 0 ? self->watch : NULL;
-    Made made = {.problem = self, .end = x, .slope_at_end = slope_ahead};
+    Made made = {.problem = self};
     Place here, ahead;
     double begin = grid->begin;
     if (grid->first && equations_at(self, begin, x, k[0], grid->first)) return NOT_FINITE;
@@ -85,18 +83,24 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
                 return NOT_FINITE;
             ++self->steps;
             if (!watch || !is_finite(x)) continue;
-            made.t = t;
-            made.h = end - t;
+            made.quintic = (Quintic){.t = t,
+                                     .h = end - t,
+                                     .ends = {made.x, x},
+                                     .slopes = {made.slope, slope_ahead},
+                                     .slope = problem_slope,
+                                     .owner = self,
+                                     .looks = looks_for(method.order)};
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
             Step step = {.watch = watch,
                          .t = t,
-                         .h = made.h,
+                         .h = made.quintic.h,
                          .known = grid->end,
                          .motion = &made,
                          .within = within_made,
                          .step_to = step_shorter,
-                         .slopes = (const double (*)[NX])k,
-                         .stages = method.stages};
+                         .slopes = k[0],
+                         .stages = method.stages,
+                         .quintic = &made.quintic};
             Crossing crossing;
             if (crossing_of(&step, made.x, grid->times + next, grid->states + next * NX, &here,
                             &ahead, &crossing))

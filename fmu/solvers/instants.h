@@ -219,7 +219,7 @@ static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
         move_on_cubic(self, node_between(a->t, b->t, k), samples[k], samples[k] + NX, du);
     const Point at = {a->t, self->kernel->at.x, self->kernel->at.z, self->kernel->at.u};
     return sampled_stays_within(&self->kernel->laws, self->kernel->switching, &at, b->t - a->t,
-                                (const Sample *)samples, a->inside, b->inside);
+                                (const Sample *)samples, NULL, a->inside, b->inside);
 }
 
 /* Where a relation leaves its mode between two rows: the relation, or -1. */

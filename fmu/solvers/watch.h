@@ -32,8 +32,10 @@ typedef struct {
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
-    const double (*slopes)[NX]; /* of its stages */
+    const double *slopes; /* of its stages */
     int stages;
+    Quintic *quintic;     /* NULL: the motion is as accurate as the states */
+    const Off *off;       /* by how much it may be off; NULL: by nothing */
     const double *looked; /* the output times before it have been looked at */
     double fresh[NX];     /* the state at the end of the last fresh step */
 } Step;
@@ -116,39 +118,6 @@ static inline void look_within(void *accepted, double t, Place *found) {
     look_at(accepted, t, x, found);
 }
 
-/* Whether no relation leaves its mode in the whole step: half as far beyond the slopes of its
- * stages again, which is cheaper than its polynomial. */
-static inline bool stays_by_slopes(const Step *self, const double *x, const Place *a,
-                                   const Place *b) {
-#if ENCLOSED > 0
-    const Watch *watch = self->watch;
-    const Point at = {a->t, x, watch->problem->z, watch->problem->u};
-    const double length = b->t - a->t;
-    Spans spans;
-    if (model_laws.inputs) return false;
-    for (int i = 0; i < NX; ++i) {
-        double low = self->slopes[0][i], high = low;
-        for (int k = 1; k < self->stages; ++k) {
-            low = fmin(low, self->slopes[k][i]);
-            high = fmax(high, self->slopes[k][i]);
-        }
-        const double more = (high - low) / 2;
-        spans.slowest[i] = low - more;
-        spans.fastest[i] = high + more;
-        spans.low[i] = x[i] + length * fmin(low - more, 0);
-        spans.high[i] = x[i] + length * fmax(high + more, 0);
-    }
-    for (int i = 0; i < NU - MODES; ++i) {
-        spans.low[NX + i] = spans.high[NX + i] = watch->problem->u[i];
-        spans.slowest[NX + i] = spans.fastest[NX + i] = 0;
-    }
-    return stays_within(&watch->laws, watch->switching, &at, length, &spans, a->inside, b->inside);
-#else
-    (void)self, (void)x, (void)a, (void)b;
-    return true;
-#endif
-}
-
 static inline bool stays(void *accepted, const Place *a, const Place *b) {
 #if ENCLOSED > 0
     const Step *self = accepted;
@@ -164,9 +133,32 @@ static inline bool stays(void *accepted, const Place *a, const Place *b) {
     }
     const Point from = {a->t, x, watch->problem->z, watch->problem->u};
     return sampled_stays_within(&watch->laws, watch->switching, &from, b->t - a->t,
-                                (const Sample *)samples, a->inside, b->inside);
+                                (const Sample *)samples, self->off, a->inside, b->inside);
 #else
     (void)accepted, (void)a, (void)b;
+    return true;
+#endif
+}
+
+/* Whether bounds prove that no relation leaves its mode in the whole step. */
+static inline bool is_quiet(Step *self, const double *x, const Place *a, const Place *b) {
+#if ENCLOSED > 0
+    const Watch *watch = self->watch;
+    const double *u = watch->problem->u;
+    const Point at = {a->t, x, watch->problem->z, watch->problem->u};
+    Spans spans;
+    for (int i = 0; i < NU - MODES; ++i) {
+        spans.low[NX + i] = spans.high[NX + i] = u[i];
+        spans.slowest[NX + i] = spans.fastest[NX + i] = 0;
+    }
+    if (!model_laws.inputs &&
+        stays_by_slopes(&watch->laws, watch->switching, &at, b->t - a->t, self->slopes,
+                        self->stages, &spans, a->inside, b->inside))
+        return true;
+    return self->quintic ? stays_sharply(stays, self, self->quintic, &self->off, a, b)
+                         : stays(self, a, b);
+#else
+    (void)self, (void)x, (void)a, (void)b;
     return true;
 #endif
 }
@@ -197,8 +189,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
                               const Place *begin, Place *end, Crossing *found) {
     const Switching *s = self->watch->switching;
     Place before = *begin, place;
-    const bool proven = outside(begin) < 0 && outside(end) < 0 &&
-                        (stays_by_slopes(self, x, begin, end) || stays(self, begin, end));
+    const bool proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;
     *found = (Crossing){end->t, -1, end->t};
     for (const double *time = times; before.t < end->t; before = place) {
@@ -212,6 +203,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
         const bool goes_on = place.t < self->known;
         if (!is_suspect(s, &before, &place, goes_on) && (proven || stays(self, &before, &place)))
             continue;
+        sharpen_fully(self->quintic);
         look_closely_at(self, &before, &place);
         if (find_crossing(look_within, stays, step_freshly, self, s, self->t, before, place.t,
                           goes_on, found) == FAILS)

@@ -96,6 +96,39 @@ def test_co_simulation_does_not_step_over_a_narrow_relation(
         assert rows["y"][-1] == pytest.approx(spent, rel=0.02)
 
 
+SHALLOW, STEP = 4e-6, 0.3  # depth: cubics through the ends of a step are off by more, rk4 by less
+
+
+def rotation(kind: str) -> tuple[Dae, float]:
+    """Return x = sin t, v = cos t with a shallow excursion within a step, and when it begins."""
+    model = Model("shallow", stop_time=2.1, output_interval=STEP)
+    x, v = model.state("x", "1", 0.0, "sine"), model.state("v", "1", 1.0, "cosine")
+    n = model.discrete("n", "1", 0.0, "count")
+    model.derivative(x, ca.cos(model.t))
+    model.derivative(v, -ca.sin(model.t))
+    true, begin = {
+        "one state": (x > 1 - SHALLOW, np.arcsin(1 - SHALLOW)),
+        "a product": (x * v > 0.5 - SHALLOW, np.arcsin(1 - 2 * SHALLOW) / 2),
+    }[kind]
+    model.when(true, {n: n + 1}, name="in")
+    return model.freeze(), float(begin)
+
+
+@pytest.mark.parametrize("backend", ["native", "CoSimulation"])
+@pytest.mark.parametrize(("solver", "error"), [("ode8", 1e-9), ("rk4", 1.5e-3)])
+@pytest.mark.parametrize("kind", ["one state", "a product"])
+def test_fixed_steps_do_not_pass_over_what_their_cubics_miss(
+    kind: str, solver: str, error: float, backend: str, tmp_path: Path
+) -> None:
+    dae, begin = rotation(kind)
+    if backend == "native":
+        run = cosim.simulate(dae, solver=solver, step_size=STEP)
+    else:
+        path = cosim.export_fmu(dae, tmp_path / "it.fmu", solver=solver, step_size=STEP)
+        run = cosim.simulate_fmu(path, interface="CoSimulation")
+    assert [event.time for event in run.events] == pytest.approx([begin], abs=error)
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", CONDITIONS)
 def test_model_exchange_does_not_step_over_a_narrow_relation(

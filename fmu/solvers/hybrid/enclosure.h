@@ -5,6 +5,7 @@
 #define HYBRID_ENCLOSURE_H
 
 #include "bounds.h"
+#include "quintic.h"
 #include "switching.h"
 
 #if ENCLOSED > 0
@@ -77,13 +78,40 @@ static inline bool stays_within(const Laws *laws, const Switching *s, const Poin
     return true;
 }
 
-/* The same, with the states and inputs at the nodes between the two times. */
+/* The same, with the states and inputs at the nodes between the two times; `off`: by how much the
+ * states may be; NULL: by nothing. */
 static inline bool sampled_stays_within(const Laws *laws, const Switching *s, const Point *at,
-                                        double length, const Sample *samples, const double a[],
-                                        const double b[]) {
+                                        double length, const Sample *samples, const Off *off,
+                                        const double a[], const double b[]) {
     Spans spans;
     for (int i = 0; i < NX + NU - MODES; i++) enclose_motion(samples, i, length, &spans);
+    for (int i = 0; off && i < NX; i++) {
+        spans.low[i] -= off->states[i];
+        spans.high[i] += off->states[i];
+        spans.slowest[i] -= off->rates[i];
+        spans.fastest[i] += off->rates[i];
+    }
     return stays_within(laws, s, at, length, &spans, a, b);
+}
+
+/* The same in a whole step, from the slopes of its stages: the states go half as far beyond them
+ * again. That is cheaper than a polynomial. `spans` are those of the inputs. */
+static inline bool stays_by_slopes(const Laws *laws, const Switching *s, const Point *at,
+                                   double length, const double *slopes, int stages, Spans *spans,
+                                   const double a[], const double b[]) {
+    for (int i = 0; i < NX; i++) {
+        double low = slopes[i], high = low;
+        for (int k = 1; k < stages; k++) {
+            low = fmin(low, slopes[k * NX + i]);
+            high = fmax(high, slopes[k * NX + i]);
+        }
+        const double more = (high - low) / 2;
+        spans->slowest[i] = low - more;
+        spans->fastest[i] = high + more;
+        spans->low[i] = at->x[i] + length * fmin(low - more, 0);
+        spans->high[i] = at->x[i] + length * fmax(high + more, 0);
+    }
+    return stays_within(laws, s, at, length, spans, a, b);
 }
 
 #endif

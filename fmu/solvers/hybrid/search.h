@@ -67,6 +67,17 @@ static inline int is_suspect(const Switching *s, const Place *a, const Place *b,
     return goes_on && leaving_at(s, b) >= 0;
 }
 
+/* Whether no relation leaves its mode in a whole step by bounds on its polynomials, made so
+ * accurate that what they may be off proves it, too; `off`: where `stays` looks for that. */
+static inline bool stays_sharply(Stays *stays, void *motion, Quintic *step, const Off **off,
+                                 const Place *a, const Place *b) {
+    bool proven = false;
+    *off = &step->off;
+    while (!proven && sharpen(step)) proven = stays(motion, a, b);
+    *off = NULL;
+    return proven;
+}
+
 /* -- the end of a step at a crossing ---------------------------------------------------------- */
 
 /* Margins at the end of a fresh step from where the present one began; false where it fails. */

@@ -182,24 +182,27 @@ def solver_step(laws: Laws, plugin: str, *, has_events: bool = False) -> ca.Func
 
 
 def fixed_step(laws: Laws, method: Tableau) -> ca.Function:
-    """Return `model_step(x, z, q) -> (x_end, z)` as one step of an explicit Runge-Kutta method.
+    """Return `model_step(x, z, q) -> (x_end, z, slopes)`, a step of an explicit Runge-Kutta method.
 
-    See `solver_step` for q. The algebraic unknowns are solved for in every stage.
+    See `solver_step` for q; the slopes are those of its stages. The algebraic unknowns are solved
+    for in every stage.
     """
     x, guess = argument_like(laws.dae.x), argument_like(laws.dae.z)
     q, (t0, h, _, *u, c) = _parameters(laws)
     law = ca.Function("law", laws.arguments, [laws.ode], _CSE)
     solve, z = prepared_algebraic(laws), guess
+    slopes: list[MX] = []
 
     def slope(t: MX, state: MX) -> MX:
         nonlocal z
         inputs = _polynomial(u, (t - t0) / h)
         if laws.dae.algebraics:
             z = solve(t, state, z, inputs, c)
-        return law(t, state, z, inputs, c)
+        slopes.append(law(t, state, z, inputs, c))
+        return slopes[-1]
 
     end = x + method.change(slope, t0, x, h)
-    return ca.Function("model_step", [x, guess, q], [end, z])
+    return ca.Function("model_step", [x, guess, q], [end, z, ca.vertcat(*slopes)])
 
 
 def _written_out(laws: Laws, scale: ca.DM) -> dict[str, SX]:

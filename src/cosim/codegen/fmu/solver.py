@@ -43,6 +43,12 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
     return wanted
 
 
+def of_fixed_steps(solver: str) -> tuple[int, int]:
+    """Return the stages and the order of a solver's steps; 0 if it controls their size."""
+    method = FIXED_STEPS.get(solver)
+    return (len(method.b), method.order) if method else (0, 0)
+
+
 def uses_dop853(dae: Dae, solver: str) -> bool:
     """Tell whether the FMU contains the runtime's own solver; that needs at least one state."""
     return solver == DOP853 and bool(dae.states)

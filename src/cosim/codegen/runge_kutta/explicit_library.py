@@ -125,7 +125,7 @@ def fixed_step_method(tableau: Tableau) -> MethodText:
     parts = (
         numbers("node", tableau.c),
         sums("stage_sum", rows),
-        f"static const Method method = {{{len(tableau.b)}, node, stage_sum}};",
+        f"static const Method method = {{{tableau.order}, {len(tableau.b)}, node, stage_sum}};",
     )
     return MethodText("fixed", "\n".join(parts))
 

@@ -9,7 +9,7 @@ import casadi as ca
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
 from cosim.codegen.fmu.equations import bounded_limits, generated_code
-from cosim.codegen.fmu.solver import most_trials
+from cosim.codegen.fmu.solver import most_trials, of_fixed_steps
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pieces import in_pieces
@@ -24,6 +24,7 @@ from cosim.text import violated
 def model_header(plan: Plan, guid: str) -> str:
     """Return `model.h`: sizes and names for compiling the runtime."""
     dae, options, step_size = plan.dae, plan.options, plan.step_size
+    stages, order = of_fixed_steps(plan.solver)
     bounds = bounded_limits(dae, plan.system)
     longest = min(options.max_step or inf, dae.experiment.stop_time / LEAST_STEPS)
     return f"""/* Generated from {dae.full_name}. */
@@ -49,7 +50,8 @@ def model_header(plan: Plan, guid: str) -> str:
 #define HAS_ADJOINT {int(options.fmi == 3 and options.derivatives)}
 #define NO_DERIVATIVES {int(not options.derivatives)}
 #define SOLVER_DOP853 {int(plan.dop853)}
-#define FIXED_STEPS {int(step_size is not None)}
+#define FIXED_STEPS {stages}
+#define ORDER_OF_STEPS {order}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae, plan.solver)}
 {_event_sizes(plan.system)}#endif

@@ -133,6 +133,7 @@ MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a se
 _KERNEL_OF_EVENTS = (
     *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "bounds.h"),
     *("enclosure.h", "margins.h", "search.h", "model_laws.h", "ode.h"),
+    *("cubic.h", "quintic.h"),
 )
 
 # Every FMU contains the files of fmu/runtime that belong to no part.
@@ -147,7 +148,7 @@ PARTS = (
     Part(
         "co-simulation with a generated solver",
         lambda plan: not plan.dop853,
-        ("integration_step.c", "cubic.h"),
+        ("integration_step.c", "cubic.h", "quintic.h", "ode.h"),
     ),
     Part(
         "relations, events or pulses",
