@@ -2,6 +2,7 @@
 
 import gc
 import random
+import struct
 from weakref import ref
 
 import numpy as np
@@ -301,6 +302,34 @@ def test_wrong_bytes_are_rejected_and_change_nothing(session):
     with pytest.raises(UsageError, match="type int"):
         session.restore(3)
     assert (session.time, session["x"]) == (0.1, x)
+
+
+@VERSIONS
+def test_every_damaged_byte_is_found_and_leaves_the_session_as_it_was(fmi, fmus):
+    with cosim.open(fmus["driven_ball", fmi]) as session:
+        session.advance(0.5)
+        saved = session.save()
+        for place in range(len(saved)):
+            damaged = bytearray(saved)
+            damaged[place] ^= 1 << place % 8
+            with pytest.raises(UsageError, match="damaged"):
+                session.restore(bytes(damaged))
+        session.advance(0.1)
+        session.restore(saved)
+        assert (session.time, session.save()) == (0.5, saved)
+
+
+def test_two_signs_that_change_are_found():
+    """A checksum that multiplies by odd numbers alone does not see changes of two highest bits."""
+    with cosim.open("bicycle") as bike:
+        bike.advance(0.1)
+        saved = bike.save()
+        places = [saved.index(struct.pack("<d", bike[name])) + 7 for name in ("phi", "phi_dot")]
+        damaged = bytearray(saved)
+        for place in places:
+            damaged[place] ^= 0x80
+        with pytest.raises(UsageError, match="damaged"):
+            bike.restore(bytes(damaged))
 
 
 def test_file_that_writes_no_bytes_goes_back_in_its_own_session(tmp_path):

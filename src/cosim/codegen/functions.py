@@ -102,7 +102,7 @@ def hoisted_laws(dae: Dae) -> Laws:
 def hoisted(dae: Dae, **others: SX) -> Laws:
     """Return the same with further expressions, whose terms of parameters are constants, too."""
     every = [dae.ode, dae.balanced, *others.values()]
-    column = ca.vertcat(SX(0, 1), *(entry for e in every for entry in e.nonzeros()))
+    column = ca.vertcat(*(SX(ca.Sparsity.dense(e.nnz()), e.nz[:]) for e in every))
     if others:  # what two of them have in common is one constant
         column = ca.cse(column)
     rows, c, constants = hoisted_rows(dae, column)

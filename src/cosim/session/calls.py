@@ -137,6 +137,8 @@ class PreparedCalls:
 class StateCalls:
     """Functions of an instance that save and restore its state.
 
+    The FMU need not find damaged bytes.
+
     Args:
         calls: Of the instance.
         check: Raises the error of a status.
@@ -185,14 +187,15 @@ class StateCalls:
         self._call(self._write, self._instance, self._state, self._room, self._size)
         return self._room.raw
 
-    def restore(self, content: bytes) -> None:
-        """Set the state that bytes describe."""
+    def restore(self, content: bytes) -> bool:
+        """Set the state that bytes describe; return whether they could be read, or raise."""
         self._length.value = len(content)
         self._call(self._read, self._instance, content, self._length, self._read_place)
         try:
             self._call(self._put, self._instance, self._read_state)
         finally:
             self.free(self._instance, self._read_place)
+        return True
 
     def keep(self) -> int:
         """Save the state in this process; return its number."""
@@ -207,6 +210,42 @@ class StateCalls:
             return False
         self._call(self._put, self._instance, self.saved[number])
         return True
+
+
+class BlockStates:
+    """Save and restore states of an FMU that was exported here by one call each.
+
+    Its state is its serialized bytes, wherever they are, with a checksum of their own; see
+    fmu/runtime/snapshot.h.
+
+    Args:
+        calls: Of the instance.
+        states: Of the same instance.
+        check: Raises the error of a status.
+    """
+
+    def __init__(
+        self, calls: PreparedCalls, states: StateCalls, check: Callable[[int, str], None]
+    ) -> None:
+        content = states.save()
+        self._room = ctypes.create_string_buffer(content, len(content))
+        self._at_room = ctypes.byref(_POINTER(ctypes.addressof(self._room)))
+        self._check = check
+        self._instance = calls.instance
+        state = "FMUstate" if calls.second else "FMUState"
+        self._take, self._put = (calls.function(f"{name}{state}") for name in ("Get", "Set"))
+
+    def save(self) -> bytes:
+        """Return the state as bytes."""
+        status = self._take(self._instance, self._at_room)
+        if status > WARNING:
+            self._check(status, "GetFMUState")
+        return self._room.raw
+
+    def restore(self, content: bytes) -> bool:
+        """Set the state that bytes describe; return False if they are damaged."""
+        same_length = len(content) == len(self._room)
+        return same_length and self._put(self._instance, content) <= WARNING
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:

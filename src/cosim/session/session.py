@@ -22,7 +22,14 @@ from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import number, plain_values
-from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
+from cosim.session.calls import (
+    FATAL,
+    WARNING,
+    BlockStates,
+    PreparedCalls,
+    StateCalls,
+    free_states,
+)
 from cosim.session.clock import Clock
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
@@ -32,8 +39,9 @@ from cosim.trajectory import Event
 
 _HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, place
 _LARGEST = 64  # resets that are prepared
-_SUM = struct.Struct("<I")
-_MAGIC = b"session1"
+_SUM = struct.Struct("<Q")
+_BEGIN = _SUM.size + _HEAD.size  # of the state of the FMU, at a multiple of 8
+_MAGIC = b"session2"
 
 
 class _Phase(StrEnum):
@@ -72,7 +80,6 @@ class Session:
         self._file = file
         self._dae = dae
         self._experiment = experiment
-        self._own = uuid.uuid4().bytes
         self._description = description = file.description
         self._variables = by_name(description)
         self.inputs = tuple(v.name for v in inputs_of(description))
@@ -82,7 +89,10 @@ class Session:
         self.outputs = tuple(found)
         self.states = tuple(item.variable.derivative.name for item in description.derivatives)
         facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
-        self._identity = hashlib.sha256(facts.encode()).digest()[:16]
+        self._serializes = bool(description.coSimulation.canSerializeFMUstate)
+        self._owner = uuid.uuid4().bytes
+        if self._serializes:
+            self._owner = hashlib.sha256(facts.encode()).digest()[:16]
         self._start_values = dict(values) if isinstance(values, Mapping) else values
         self._stack = ExitStack()
         self._used = False
@@ -138,7 +148,8 @@ class Session:
     def _renew(self) -> None:
         """Replace the instance by a new one."""
         self._stack.close()
-        vars(self).pop("_states", None)
+        for name in ("_states", "_block"):
+            vars(self).pop(name, None)
         self._instance, self._explain = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
@@ -317,10 +328,6 @@ class Session:
 
     # -- states -------------------------------------------------------------------------------
 
-    @property
-    def _serializes(self) -> bool:
-        return bool(self._description.coSimulation.canSerializeFMUstate)
-
     @cached_property
     def _states(self) -> StateCalls:
         if not self._description.coSimulation.canGetAndSetFMUstate:
@@ -328,6 +335,13 @@ class Session:
         found = StateCalls(self._calls, self._check)
         self._stack.callback(free_states, self._instance, found.free, found.saved)
         return found
+
+    @cached_property
+    def _block(self) -> BlockStates | None:
+        """The states of an FMU that checks them itself."""
+        if not self._file.is_own:
+            return None
+        return BlockStates(self._calls, self._states, self._check)
 
     def save(self) -> bytes:
         """Return the state of the session, for `restore`.
@@ -341,18 +355,20 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        states = self._states
-        content = b""
         place = 0
-        if self._serializes:
-            owner = self._identity
-            content = states.save()
+        content = b""
+        if self._block is not None:
+            content = self._block.save()
+        elif self._serializes:
+            content = self._states.save()
         else:
-            owner = self._own
-            place = states.keep()
-        facts = (*self._clock.facts, place)
-        whole = _HEAD.pack(_MAGIC, owner, *facts) + content
-        return _SUM.pack(zlib.crc32(whole)) + whole
+            place = self._states.keep()
+        head = _HEAD.pack(_MAGIC, self._owner, *self._clock.facts, place)
+        return _SUM.pack(self._sum_of(head, content)) + head + content
+
+    def _sum_of(self, head: bytes, content: bytes) -> int:
+        """Return a checksum, of the state only if the FMU has none."""
+        return zlib.crc32(head if self._block is not None else head + content)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; also after a failure or the end of the run.
@@ -361,26 +377,32 @@ class Session:
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        self._reject_closed()
-        UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
-        whole = saved[_SUM.size :]
-        if len(whole) < _HEAD.size or _SUM.unpack_from(saved)[0] != zlib.crc32(whole):
-            raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
-        magic, owner, *clock, place = _HEAD.unpack_from(whole)
-        expected = self._identity if self._serializes else self._own
-        if magic != _MAGIC or owner != expected:
+        if self._phase is not _Phase.RUNNING:
+            self._reject_closed()
+        if type(saved) is not bytes:
+            UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
+        head, content = saved[_SUM.size : _BEGIN], saved[_BEGIN:]
+        if len(head) < _HEAD.size or _SUM.unpack_from(saved)[0] != self._sum_of(head, content):
+            raise self._damaged()
+        magic, owner, *clock, place = _HEAD.unpack(head)
+        if magic != _MAGIC or owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if self._serializes:
-            self._states.restore(whole[_HEAD.size :])
-        else:
-            if not self._states.go_back(place):
-                raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+            if not (self._block or self._states).restore(content):
+                raise self._damaged()
+        elif not self._states.go_back(place):
+            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._clock = Clock(*clock)
         self._events.clear()
         violations = self._instance.violations
-        violations[:] = [one for one in violations if one.time <= self.time]
+        if violations:
+            violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = _Phase.RUNNING
+
+    def _damaged(self) -> UsageError:
+        self._instance.log_texts.clear()
+        return UsageError(f"{self.name}: these bytes are no saved session, or damaged")
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
