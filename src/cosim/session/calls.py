@@ -137,18 +137,19 @@ class PreparedCalls:
 class StateCalls:
     """Functions of an instance that save and restore its state.
 
-    The FMU need not find damaged bytes.
-
     Args:
         calls: Of the instance.
         check: Raises the error of a status.
+        is_own: Whether the FMU was exported here.
 
     Attributes:
         saved: Pointers to the states to free before the instance.
         free: The C function for it.
     """
 
-    def __init__(self, calls: PreparedCalls, check: Callable[[int, str], None]) -> None:
+    def __init__(
+        self, calls: PreparedCalls, check: Callable[[int, str], None], *, is_own: bool
+    ) -> None:
         state = "FMUstate" if calls.second else "FMUState"
         size_of, write, read = (
             f"Serialized{state}Size",
@@ -171,6 +172,8 @@ class StateCalls:
         self._at_state = ctypes.byref(self._state)
         self._at_size = ctypes.byref(self._size)
         self._read_place = ctypes.byref(self._read_state)
+        self._is_own = is_own
+        self._is_block = False
 
     def _call(self, call: tuple[Callable[..., int], str], *arguments: Any) -> None:
         status = call[0](*arguments)
@@ -180,17 +183,30 @@ class StateCalls:
     def save(self) -> bytes:
         """Return the state as bytes."""
         self._call(self._take, self._instance, self._at_state)
+        if self._is_block:
+            return self._room.raw
         self._call(self._size_of, self._instance, self._state, self._at_size)
         size = self._size.value
         if len(self._room) != size:
             self._room = ctypes.create_string_buffer(size)
         self._call(self._write, self._instance, self._state, self._room, self._size)
+        if self._is_own:  # its state is its bytes, wherever they are; see fmu/runtime/snapshot.h
+            self.free(self._instance, self._at_state)
+            self._state.value = ctypes.addressof(self._room)
+            self.saved.clear()
+            self._is_block = True
         return self._room.raw
 
     def restore(self, content: bytes) -> bool:
-        """Set the state that bytes describe; return whether they could be read, or raise."""
+        """Set the state that bytes describe; return whether an FMU exported here accepts them."""
+        if self._is_block:
+            same_length = len(content) == len(self._room)
+            return same_length and self._put[0](self._instance, content) <= WARNING
         self._length.value = len(content)
-        self._call(self._read, self._instance, content, self._length, self._read_place)
+        status = self._read[0](self._instance, content, self._length, self._read_place)
+        if status > WARNING and self._is_own:
+            return False
+        self._check(status, self._read[1])
         try:
             self._call(self._put, self._instance, self._read_state)
         finally:
@@ -210,42 +226,6 @@ class StateCalls:
             return False
         self._call(self._put, self._instance, self.saved[number])
         return True
-
-
-class BlockStates:
-    """Save and restore states of an FMU that was exported here by one call each.
-
-    Its state is its serialized bytes, wherever they are, with a checksum of their own; see
-    fmu/runtime/snapshot.h.
-
-    Args:
-        calls: Of the instance.
-        states: Of the same instance.
-        check: Raises the error of a status.
-    """
-
-    def __init__(
-        self, calls: PreparedCalls, states: StateCalls, check: Callable[[int, str], None]
-    ) -> None:
-        content = states.save()
-        self._room = ctypes.create_string_buffer(content, len(content))
-        self._at_room = ctypes.byref(_POINTER(ctypes.addressof(self._room)))
-        self._check = check
-        self._instance = calls.instance
-        state = "FMUstate" if calls.second else "FMUState"
-        self._take, self._put = (calls.function(f"{name}{state}") for name in ("Get", "Set"))
-
-    def save(self) -> bytes:
-        """Return the state as bytes."""
-        status = self._take(self._instance, self._at_room)
-        if status > WARNING:
-            self._check(status, "GetFMUState")
-        return self._room.raw
-
-    def restore(self, content: bytes) -> bool:
-        """Set the state that bytes describe; return False if they are damaged."""
-        same_length = len(content) == len(self._room)
-        return same_length and self._put(self._instance, content) <= WARNING
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:

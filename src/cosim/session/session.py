@@ -1,9 +1,7 @@
 """`Session`: a model that stays alive: set inputs, advance, read, save, go back, branch."""
 
 import hashlib
-import struct
 import uuid
-import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
@@ -22,26 +20,16 @@ from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import number, plain_values
-from cosim.session.calls import (
-    FATAL,
-    WARNING,
-    BlockStates,
-    PreparedCalls,
-    StateCalls,
-    free_states,
-)
+from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
+from cosim.session.saved import packed, unpacked, unpicklable
 from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
-_HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, place
 _LARGEST = 64  # resets that are prepared
-_SUM = struct.Struct("<Q")
-_BEGIN = _SUM.size + _HEAD.size  # of the state of the FMU, at a multiple of 8
-_MAGIC = b"session2"
 
 
 class _Phase(StrEnum):
@@ -101,7 +89,10 @@ class Session:
 
     # -- life ---------------------------------------------------------------------------------
 
+    __iter__ = None  # it has names, and no order
+
     def __enter__(self) -> Self:
+        self._reject_closed()
         return self
 
     def __exit__(
@@ -148,8 +139,7 @@ class Session:
     def _renew(self) -> None:
         """Replace the instance by a new one."""
         self._stack.close()
-        for name in ("_states", "_block"):
-            vars(self).pop(name, None)
+        vars(self).pop("_states", None)
         self._instance, self._explain = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
@@ -217,6 +207,14 @@ class Session:
         other._events[:] = self._events
         other._instance.violations[:] = self._instance.violations
         return other
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Session":
+        return self.copy()
+
+    def __reduce__(self) -> NoReturn:
+        raise unpicklable(self.name)
 
     # -- running ------------------------------------------------------------------------------
 
@@ -332,16 +330,9 @@ class Session:
     def _states(self) -> StateCalls:
         if not self._description.coSimulation.canGetAndSetFMUstate:
             raise FmuError(f"{self.name} cannot save its state; begin again with reset")
-        found = StateCalls(self._calls, self._check)
+        found = StateCalls(self._calls, self._check, is_own=self._file.is_own)
         self._stack.callback(free_states, self._instance, found.free, found.saved)
         return found
-
-    @cached_property
-    def _block(self) -> BlockStates | None:
-        """The states of an FMU that checks them itself."""
-        if not self._file.is_own:
-            return None
-        return BlockStates(self._calls, self._states, self._check)
 
     def save(self) -> bytes:
         """Return the state of the session, for `restore`.
@@ -357,18 +348,12 @@ class Session:
             self._require()
         place = 0
         content = b""
-        if self._block is not None:
-            content = self._block.save()
-        elif self._serializes:
+        if self._serializes:
             content = self._states.save()
         else:
             place = self._states.keep()
-        head = _HEAD.pack(_MAGIC, self._owner, *self._clock.facts, place)
-        return _SUM.pack(self._sum_of(head, content)) + head + content
-
-    def _sum_of(self, head: bytes, content: bytes) -> int:
-        """Return a checksum, of the state only if the FMU has none."""
-        return zlib.crc32(head if self._block is not None else head + content)
+        clock = self._clock.facts
+        return packed(self._owner, clock, place, content, has_sum=self._file.is_own)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; also after a failure or the end of the run.
@@ -381,15 +366,15 @@ class Session:
             self._reject_closed()
         if type(saved) is not bytes:
             UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
-        head, content = saved[_SUM.size : _BEGIN], saved[_BEGIN:]
-        if len(head) < _HEAD.size or _SUM.unpack_from(saved)[0] != self._sum_of(head, content):
+        found = unpacked(saved, has_sum=self._file.is_own)
+        if found is None:
             raise self._damaged()
-        magic, owner, *clock, place = _HEAD.unpack(head)
-        if magic != _MAGIC or owner != self._owner:
+        owner, clock, place, content = found
+        if owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if self._serializes:
-            if not (self._block or self._states).restore(content):
+            if not self._states.restore(content):
                 raise self._damaged()
         elif not self._states.go_back(place):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
