@@ -10,7 +10,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
-from casadi_models.dae.expressions import linear_solution
+from casadi_models.dae.expressions import implicit_change, linear_solution
 from cosim.codegen.functions import Laws, derivative_along, is_large, jacobian_in_a_loop
 from cosim.codegen.initialization import knowns
 from cosim.memo import cached_per_thread
@@ -34,12 +34,15 @@ class Formulas(NamedTuple):
         """The expressions by names of their own."""
         return {f"{self.name}_{i}": result for i, result in enumerate(self.results)}
 
+    def expressions(self, dae: Dae, laws: Laws | None) -> tuple[list[SX], list[SX]]:
+        """Return the symbols and the expressions; of laws, with their constants for p."""
+        if laws is None:
+            return [*dae.arguments, *self.seeds], self.results
+        return [*laws.arguments, *self.seeds], [laws.others[name] for name in self.named]
+
     def function(self, dae: Dae, laws: Laws | None) -> ca.Function:
-        """Return a function of t, x, z, u, p and the seeds; of laws, with their constants for p."""
-        call, results = dae.arguments, self.results
-        if laws is not None:
-            call, results = laws.arguments, [laws.others[name] for name in self.named]
-        return ca.Function(self.name, [*call, *self.seeds], results, {"cse": True})
+        """Return the same as a function."""
+        return ca.Function(self.name, *self.expressions(dae, laws), {"cse": True})
 
 
 def sensitivity_formulas(dae: Dae, *, adjoint: bool) -> Mapping[str, SX]:
@@ -66,13 +69,13 @@ def sensitivity_functions(laws: Laws, *, adjoint: bool) -> list[ca.Function]:
 
 @cached_per_thread(4)
 def _directional_formulas(dae: Dae, *, looped: bool) -> tuple[Formulas, Formulas]:
-    """Return the linear equations for the seed of z, and the derivatives along all seeds."""
+    """Return what `implicit_change` takes for z, and the derivatives along all seeds."""
     known = [dae.x, dae.u, dae.p, dae.t]
     seeds = [SX.sym("seed", symbol.numel()) for symbol in known]
     seed_z = SX.sym("seed_z", dae.z.numel())
     variables, seed = ca.vertcat(*known), ca.vertcat(*seeds)
-    right = -ca.jtimes(dae.balanced, variables, seed)
-    implicit = Formulas("along", seeds, [ca.jacobian(dae.balanced, dae.z), right])
+    change = ca.jtimes(dae.balanced, variables, seed)
+    implicit = Formulas("along", seeds, [ca.jacobian(dae.balanced, dae.z), change])
     variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
     along = [ca.jtimes(e, variables, seed) for e in (dae.ode, dae.outputs)[looped:]]
     return implicit, Formulas("along_all", [*seeds, seed_z], along)
@@ -90,13 +93,12 @@ def directional_function(
         in_a_loop: See `jacobian_function`; with a loop, both use one derivative of the laws.
     """
     looped = is_large(dae) if in_a_loop is None else in_a_loop
-    implicit, explicit = (
-        formulas.function(dae, laws) for formulas in _directional_formulas(dae, looped=looped)
-    )
-    arguments = implicit.mx_in()
+    of_z, of_all = _directional_formulas(dae, looped=looped)
+    symbols, (slopes, change) = of_z.expressions(dae, laws)
+    implicit, explicit = implicit_change(symbols, slopes, change), of_all.function(dae, laws)
+    arguments = [argument_like(symbol) for symbol in symbols]
     count = len(dae.arguments)
-    matrix, right = implicit(*arguments)
-    sens_z = linear_solution(matrix, right) if dae.algebraics else MX(0, 1)
+    sens_z = implicit(*arguments)
     *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
     if looped:
         seed_x, seed_u, seed_p, seed_t = arguments[count:]
@@ -136,8 +138,6 @@ def jacobian_function(
         written_out = _jacobian_formulas(dae).function(dae, laws)
         arguments = written_out.mx_in()
         ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
-    if not dae.algebraics:
-        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
     z_known = -linear_solution(alg_z, ca.densify(alg_known))
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
@@ -175,7 +175,7 @@ def adjoint_function(dae: Dae, laws: Laws | None = None) -> ca.Function:
     implicit, gradients = (formulas.function(dae, laws) for formulas in _adjoint_formulas(dae))
     arguments = implicit.mx_in()
     matrix, right = implicit(*arguments)
-    solved = linear_solution(matrix, right, transposed=True) if dae.algebraics else MX(0, 1)
+    solved = linear_solution(matrix, right, transposed=True)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
 
 
@@ -189,11 +189,8 @@ def start_directional_function(dae: Dae) -> ca.Function:
     calculated = {row for rule in dae.start_rules for row in rule.states}
     rows = [MX(0) if i in calculated else seed for i, seed in enumerate(ca.vertsplit(seeds[0]))]
     for i, rule in enumerate(dae.start_rules):
-        solved = _rule_derivative(dae, rule, f"start_along_{i}")
-        moved = solved(*known, ca.vertcat(*rows), *seeds[1:])
-        if rule.implicit:
-            matrix, right = moved
-            moved = linear_solution(matrix, right)
+        change = _rule_derivative(dae, rule, f"start_along_{i}")
+        moved = change(*known, ca.vertcat(*rows), *seeds[1:])
         for row, value in zip(rule.states, ca.vertsplit(moved), strict=True):
             rows[row] = value
     every = ca.vertcat(MX(0, 1), *rows)
@@ -203,11 +200,12 @@ def start_directional_function(dae: Dae) -> ca.Function:
 def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
     variables = (dae.x, dae.u, dae.p, dae.t)
     seeds = [SX.sym("seed", symbol.numel()) for symbol in variables]
+    symbols = [*knowns(dae), *seeds]
     moved = ca.jtimes(rule.expression, ca.vertcat(*variables), ca.vertcat(*seeds))
-    results = [moved]
     if rule.implicit:
-        results = [ca.jacobian(rule.expression, dae.x)[:, list(rule.states)], -moved]
-    return ca.Function(name, [*knowns(dae), *seeds], results, {"cse": True})
+        slopes = ca.jacobian(rule.expression, dae.x)[:, list(rule.states)]
+        return implicit_change(symbols, slopes, moved)
+    return ca.Function(name, symbols, [moved], {"cse": True})
 
 
 def argument_like(symbol: SX) -> MX:
