@@ -8,9 +8,9 @@
    model_algebraic          t, x, z_guess, u, c                   -> z
    model_ode                t, x, z, u, c                         -> dx
    model_outputs            t, x, z, u, c                         -> y, margins
-   model_directional        t, x, z, u, p, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
-   model_adjoint            t, x, z, u, p, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
-   model_jacobian           t, x, z, u, p                         -> jac_dx, jac_z
+   model_directional        t, x, z, u, c, seed_x, seed_u, seed_p, seed_t -> sens_dx, sens_z, sens_y
+   model_adjoint            t, x, z, u, c, seed_dx, seed_z, seed_y -> sens_x, sens_u, sens_p, sens_t
+   model_jacobian           t, x, z, u, c                         -> jac_dx, jac_z
    model_rank               t, x, z, u, c                         -> distance (1)
    model_rank_rate          t, x, z, u, c                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)

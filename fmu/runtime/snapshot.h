@@ -15,7 +15,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 13 };
+enum { LAYOUT_VERSION = 14 };
 
 typedef struct {
     uint64_t magic;
@@ -31,18 +31,32 @@ typedef struct {
     State state;
 } Snapshot;
 
-/* FNV-1a (Fowler, Noll, Vo) over words of 64 bits: every change of a single one changes it. */
+static inline uint64_t word_at(const unsigned char *bytes) {
+    uint64_t word;
+    memcpy(&word, bytes, sizeof word);
+    return word;
+}
+
+/* FNV-1a (Fowler, Noll, Vo) of words of 64 bits. The shift lets the highest bits count, too, so
+   that changes of two signs do not cancel. */
+static inline uint64_t mixed(uint64_t sum, uint64_t word) {
+    sum = (sum ^ word) * UINT64_C(1099511628211);
+    return sum ^ sum >> 32;
+}
+
+/* Two sums, which do not wait for each other: every change of a single word changes the result. */
 static uint64_t hash(const void *data, size_t size) {
+    enum { WORD = sizeof(uint64_t) };
     const unsigned char *bytes = data;
-    const size_t whole = size - size % sizeof(uint64_t);
-    uint64_t sum = UINT64_C(14695981039346656037), word = 0;
-    for (size_t i = 0; i < whole; i += sizeof word) {
-        memcpy(&word, bytes + i, sizeof word);
-        sum = (sum ^ word) * UINT64_C(1099511628211);
+    unsigned char rest[2 * WORD] = {0};
+    uint64_t even = UINT64_C(14695981039346656037), odd = even;
+    const size_t whole = size - size % sizeof rest;
+    for (size_t i = 0; i < whole; i += sizeof rest) {
+        even = mixed(even, word_at(bytes + i));
+        odd = mixed(odd, word_at(bytes + i + WORD));
     }
-    word = 0;
-    memcpy(&word, bytes + whole, size - whole);
-    return (sum ^ word) * UINT64_C(1099511628211);
+    memcpy(rest, bytes + whole, size - whole);
+    return mixed(mixed(even, word_at(rest)), mixed(odd, word_at(rest + WORD)));
 }
 
 static Header header_of(const Instance *self, const State *state) {

@@ -42,7 +42,7 @@ class Laws:
         c: Symbols of the constants: the parameters, and after them all expressions of the laws
             that depend on parameters alone.
         ode, alg: dx/dt and the balanced residual of z, columns of t, x, z, u and c.
-        others: Further columns, by name, that share the constants.
+        others: Further expressions, by name, that share the constants.
         constants: `constants(p) -> c`.
     """
 
@@ -55,7 +55,7 @@ class Laws:
 
     @property
     def arguments(self) -> list[SX]:
-        """`[t, x, z, u, c]`, the arguments of functions that are made of its columns."""
+        """`[t, x, z, u, c]`, the arguments of functions that are made of its expressions."""
         return [*self.dae.arguments[:-1], self.c]
 
 
@@ -100,11 +100,15 @@ def hoisted_laws(dae: Dae) -> Laws:
 
 
 def hoisted(dae: Dae, **others: SX) -> Laws:
-    """Return the same with further columns, whose expressions of parameters are constants, too."""
-    columns = (dae.ode, dae.balanced, *others.values())
-    rows, c, constants = hoisted_rows(dae, ca.vertcat(*columns))
-    ends = accumulate((column.numel() for column in columns), initial=0)
-    ode, alg, *rest = ca.vertsplit(rows, [*ends])
+    """Return the same with further expressions, whose terms of parameters are constants, too."""
+    every = [dae.ode, dae.balanced, *others.values()]
+    column = ca.vertcat(*(SX(ca.Sparsity.dense(e.nnz()), e.nz[:]) for e in every))
+    if others:  # what two of them have in common is one constant
+        column = ca.cse(column)
+    rows, c, constants = hoisted_rows(dae, column)
+    ends = accumulate((e.nnz() for e in every), initial=0)
+    parts = zip(every, ca.vertsplit(rows, [*ends]), strict=True)
+    ode, alg, *rest = (SX(e.sparsity(), part) for e, part in parts)
     return Laws(dae, c, ode, alg, dict(zip(others, rest, strict=True)), constants)
 
 

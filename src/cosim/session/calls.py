@@ -140,13 +140,16 @@ class StateCalls:
     Args:
         calls: Of the instance.
         check: Raises the error of a status.
+        is_own: Whether the FMU was exported here.
 
     Attributes:
         saved: Pointers to the states to free before the instance.
         free: The C function for it.
     """
 
-    def __init__(self, calls: PreparedCalls, check: Callable[[int, str], None]) -> None:
+    def __init__(
+        self, calls: PreparedCalls, check: Callable[[int, str], None], *, is_own: bool
+    ) -> None:
         state = "FMUstate" if calls.second else "FMUState"
         size_of, write, read = (
             f"Serialized{state}Size",
@@ -169,6 +172,8 @@ class StateCalls:
         self._at_state = ctypes.byref(self._state)
         self._at_size = ctypes.byref(self._size)
         self._read_place = ctypes.byref(self._read_state)
+        self._is_own = is_own
+        self._is_block = False
 
     def _call(self, call: tuple[Callable[..., int], str], *arguments: Any) -> None:
         status = call[0](*arguments)
@@ -178,21 +183,35 @@ class StateCalls:
     def save(self) -> bytes:
         """Return the state as bytes."""
         self._call(self._take, self._instance, self._at_state)
+        if self._is_block:
+            return self._room.raw
         self._call(self._size_of, self._instance, self._state, self._at_size)
         size = self._size.value
         if len(self._room) != size:
             self._room = ctypes.create_string_buffer(size)
         self._call(self._write, self._instance, self._state, self._room, self._size)
+        if self._is_own:  # its state is its bytes, wherever they are; see fmu/runtime/snapshot.h
+            self.free(self._instance, self._at_state)
+            self._state.value = ctypes.addressof(self._room)
+            self.saved.clear()
+            self._is_block = True
         return self._room.raw
 
-    def restore(self, content: bytes) -> None:
-        """Set the state that bytes describe."""
+    def restore(self, content: bytes) -> bool:
+        """Set the state that bytes describe; return whether an FMU exported here accepts them."""
+        if self._is_block:
+            same_length = len(content) == len(self._room)
+            return same_length and self._put[0](self._instance, content) <= WARNING
         self._length.value = len(content)
-        self._call(self._read, self._instance, content, self._length, self._read_place)
+        status = self._read[0](self._instance, content, self._length, self._read_place)
+        if status > WARNING and self._is_own:
+            return False
+        self._check(status, self._read[1])
         try:
             self._call(self._put, self._instance, self._read_state)
         finally:
             self.free(self._instance, self._read_place)
+        return True
 
     def keep(self) -> int:
         """Save the state in this process; return its number."""

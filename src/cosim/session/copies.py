@@ -3,7 +3,7 @@
 import io
 import zipfile
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, Self
+from typing import Any, NoReturn, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments_of
 from cosim.model.values import listed
 from cosim.session.clock import Clock
+from cosim.session.saved import unpicklable
 from cosim.trajectory import Event
 
 
@@ -91,8 +92,14 @@ class Copies:
     def __len__(self) -> int:
         return self._count
 
+    __iter__ = None  # `get` returns values by copy
+
     def __enter__(self) -> Self:
+        self._require()
         return self
+
+    def __reduce__(self) -> NoReturn:
+        raise unpicklable(self.name)
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,9 +1,7 @@
 """`Session`: a model that stays alive: set inputs, advance, read, save, go back, branch."""
 
 import hashlib
-import struct
 import uuid
-import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
@@ -27,13 +25,11 @@ from cosim.session.clock import Clock
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
+from cosim.session.saved import packed, unpacked, unpicklable
 from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
-_HEAD = struct.Struct("<8s16s3d2q")  # magic, owner, time, begin, length, count, place
 _LARGEST = 64  # resets that are prepared
-_SUM = struct.Struct("<I")
-_MAGIC = b"session1"
 
 
 class _Phase(StrEnum):
@@ -72,7 +68,6 @@ class Session:
         self._file = file
         self._dae = dae
         self._experiment = experiment
-        self._own = uuid.uuid4().bytes
         self._description = description = file.description
         self._variables = by_name(description)
         self.inputs = tuple(v.name for v in inputs_of(description))
@@ -82,7 +77,10 @@ class Session:
         self.outputs = tuple(found)
         self.states = tuple(item.variable.derivative.name for item in description.derivatives)
         facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
-        self._identity = hashlib.sha256(facts.encode()).digest()[:16]
+        self._serializes = bool(description.coSimulation.canSerializeFMUstate)
+        self._owner = uuid.uuid4().bytes
+        if self._serializes:
+            self._owner = hashlib.sha256(facts.encode()).digest()[:16]
         self._start_values = dict(values) if isinstance(values, Mapping) else values
         self._stack = ExitStack()
         self._used = False
@@ -91,7 +89,10 @@ class Session:
 
     # -- life ---------------------------------------------------------------------------------
 
+    __iter__ = None  # it has names, and no order
+
     def __enter__(self) -> Self:
+        self._reject_closed()
         return self
 
     def __exit__(
@@ -207,6 +208,14 @@ class Session:
         other._instance.violations[:] = self._instance.violations
         return other
 
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Session":
+        return self.copy()
+
+    def __reduce__(self) -> NoReturn:
+        raise unpicklable(self.name)
+
     # -- running ------------------------------------------------------------------------------
 
     @property
@@ -317,15 +326,11 @@ class Session:
 
     # -- states -------------------------------------------------------------------------------
 
-    @property
-    def _serializes(self) -> bool:
-        return bool(self._description.coSimulation.canSerializeFMUstate)
-
     @cached_property
     def _states(self) -> StateCalls:
         if not self._description.coSimulation.canGetAndSetFMUstate:
             raise FmuError(f"{self.name} cannot save its state; begin again with reset")
-        found = StateCalls(self._calls, self._check)
+        found = StateCalls(self._calls, self._check, is_own=self._file.is_own)
         self._stack.callback(free_states, self._instance, found.free, found.saved)
         return found
 
@@ -341,18 +346,14 @@ class Session:
         """
         if self._phase is not _Phase.RUNNING:
             self._require()
-        states = self._states
-        content = b""
         place = 0
+        content = b""
         if self._serializes:
-            owner = self._identity
-            content = states.save()
+            content = self._states.save()
         else:
-            owner = self._own
-            place = states.keep()
-        facts = (*self._clock.facts, place)
-        whole = _HEAD.pack(_MAGIC, owner, *facts) + content
-        return _SUM.pack(zlib.crc32(whole)) + whole
+            place = self._states.keep()
+        clock = self._clock.facts
+        return packed(self._owner, clock, place, content, has_sum=self._file.is_own)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; also after a failure or the end of the run.
@@ -361,26 +362,32 @@ class Session:
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        self._reject_closed()
-        UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
-        whole = saved[_SUM.size :]
-        if len(whole) < _HEAD.size or _SUM.unpack_from(saved)[0] != zlib.crc32(whole):
-            raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
-        magic, owner, *clock, place = _HEAD.unpack_from(whole)
-        expected = self._identity if self._serializes else self._own
-        if magic != _MAGIC or owner != expected:
+        if self._phase is not _Phase.RUNNING:
+            self._reject_closed()
+        if type(saved) is not bytes:
+            UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
+        found = unpacked(saved, has_sum=self._file.is_own)
+        if found is None:
+            raise self._damaged()
+        owner, clock, place, content = found
+        if owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if self._serializes:
-            self._states.restore(whole[_HEAD.size :])
-        else:
-            if not self._states.go_back(place):
-                raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+            if not self._states.restore(content):
+                raise self._damaged()
+        elif not self._states.go_back(place):
+            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._clock = Clock(*clock)
         self._events.clear()
         violations = self._instance.violations
-        violations[:] = [one for one in violations if one.time <= self.time]
+        if violations:
+            violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = _Phase.RUNNING
+
+    def _damaged(self) -> UsageError:
+        self._instance.log_texts.clear()
+        return UsageError(f"{self.name}: these bytes are no saved session, or damaged")
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:

@@ -10,6 +10,11 @@ import pytest
 import cosim
 from cosim.codegen import functions as directional_jacobian
 from cosim.codegen.fmu import equations
+from cosim.codegen.fmu.derivatives import (
+    adjoint_function,
+    directional_function,
+    jacobian_function,
+)
 from cosim.codegen.fmu.equations import fmu_laws, generated_code, model_functions, solver_step
 
 
@@ -21,7 +26,7 @@ def test_step_that_calls_the_equations_is_the_one_that_writes_them_out(loop, mon
     system = {"t": t, "x": x, "z": z, "u": u, "p": p, "ode": u * ca.sin(3 * t) - p * x * z}
     system["alg"] = z**3 + z - x - u
     dae = cosim.from_casadi(system, {"x": 1.0, "p": 2.0}, nominals={"x": 8.0})
-    laws = fmu_laws(dae, None)
+    laws = fmu_laws(dae, None, derivatives=True, adjoint=False)
     c = np.array(laws.constants(2.0)).ravel()
     arguments = [1.0, 0.7, [0.2, 0.5, 1e-9, 1.0, 0.3, -0.2, 0.1, *c]]
     found = []
@@ -36,7 +41,7 @@ def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
     x = ca.SX.sym("x", n)
     weights = ca.DM(np.random.default_rng(0).normal(size=(n, n)))
     dae = cosim.from_casadi({"x": x, "ode": -ca.sin(weights @ ca.sin(x)) * x}, {"x": 0.1})
-    laws = fmu_laws(dae, None)
+    laws = fmu_laws(dae, None, derivatives=True, adjoint=False)
     functions = model_functions(laws, None, derivatives=True, adjoint=False)
     code = generated_code(laws, "m", functions, "rosenbrock", has_events=False)
     jacobian, laws = (
@@ -61,3 +66,23 @@ def test_law_that_prints_is_exported(tmp_path):
     dae = cosim.from_casadi({"x": x, "ode": law}, {"x": 1.0}, name="printing")
     run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "m.fmu"), stop_time=1.0)
     assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["bicycle", "bicycle/multipliers", "double_pendulum/multipliers"])
+@pytest.mark.parametrize("derivative", [directional_function, jacobian_function, adjoint_function])
+def test_derivatives_take_the_constants_of_the_instance_and_keep_their_bits(name, derivative):
+    dae = cosim.load(name)
+    laws = fmu_laws(dae, None, derivatives=True, adjoint=True)
+    alone, shared = derivative(dae), derivative(dae, laws)
+    rng = np.random.default_rng(4)
+    arguments = [rng.uniform(0.2, 1.0, alone.size_in(i)) for i in range(alone.n_in())]
+    parameters = arguments[4]
+    expected = alone(*arguments)
+    arguments[4] = laws.constants(parameters)
+    for one, other in zip(expected, shared(*arguments), strict=True):
+        np.testing.assert_array_equal(other.full(), one.full())
+    lengths = [
+        sum(part.n_instructions() for part in function.find_functions(0) if part.is_a("SXFunction"))
+        for function in (alone, shared)
+    ]
+    assert lengths[1] < lengths[0]

@@ -14,7 +14,11 @@ from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.time_bounds import Enclosures, limit_enclosures
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
-from cosim.codegen.fmu.derivatives import argument_like, sensitivity_functions
+from cosim.codegen.fmu.derivatives import (
+    argument_like,
+    sensitivity_formulas,
+    sensitivity_functions,
+)
 from cosim.codegen.fmu.solver import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.codegen.functions import CALL, Laws, driven_equations, hoisted, is_large
 from cosim.codegen.hybrid_laws import law_functions
@@ -74,21 +78,34 @@ def bounded_limits(dae: Dae, system: Hybrid | None) -> Enclosures:
 
 
 @cached_per_thread(16)
-def fmu_laws(dae: Dae, system: Hybrid | None) -> Laws:
-    """Return the laws of a model with the constants that its FMU calculates once."""
+def fmu_laws(dae: Dae, system: Hybrid | None, *, derivatives: bool, adjoint: bool) -> Laws:
+    """Return the laws of a model with the constants that its FMU calculates once.
+
+    Args:
+        dae, system: The model as exported, and its events.
+        derivatives, adjoint: See `model_functions`.
+    """
     bounds = bounded_limits(dae, system)
     rank, rank_rate = _rank_columns(dae)
     columns = {"outputs": dae.outputs, "margins": dae.margins, "rank": rank, "rank_rate": rank_rate}
     if bounds.relations:
         columns["limits"] = bounds.low[::2]
         columns |= {"slowest": bounds.low[1::2], "fastest": bounds.high[1::2]}
+    if derivatives:
+        columns |= sensitivity_formulas(dae, adjoint=adjoint)
     return hoisted(dae, **columns)
 
 
 def model_functions(
     laws: Laws, system: Hybrid | None, *, derivatives: bool, adjoint: bool
 ) -> tuple[ca.Function, ...]:
-    """Return the functions that fmu/runtime/equations.h declares, but for the solver's step."""
+    """Return the functions that fmu/runtime/equations.h declares, but for the solver's step.
+
+    Args:
+        laws: Those of `fmu_laws`, with the same derivatives.
+        system: The events of the model.
+        derivatives, adjoint: Whether to include directional and adjoint derivatives.
+    """
     dae, p = laws.dae, argument_like(laws.dae.p)
     return (
         ca.Function("model_constants", [p], [laws.constants(p)]),
@@ -97,7 +114,7 @@ def model_functions(
         _plain_function(laws, "model_ode", laws.ode),
         _plain_function(laws, "model_outputs", laws.others["outputs"], laws.others["margins"]),
         *_rank_functions(laws),
-        *(sensitivity_functions(dae, adjoint=adjoint) if derivatives else []),
+        *(sensitivity_functions(laws, adjoint=adjoint) if derivatives else []),
         *(law_functions(system) if system else []),
         *_limit_functions(laws, bounded_limits(dae, system)),
     )

@@ -187,7 +187,8 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     system = fmu_events(dae)
     if system is not None:
         dae = system.dae
-    laws = fmu_laws(dae, system)
+    wanted = {"derivatives": options.derivatives, "adjoint": options.fmi == 3}
+    laws = fmu_laws(dae, system, **wanted)
     modes = len(system.relations) if system else 0
     variables = fmu_variables(dae, tunable, valid=options.valid, modes=modes)
     if options.names == NameStyle.STRUCTURED:
@@ -214,8 +215,6 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         dop853=uses_dop853(dae, solver),
         step_size=step_size if solver in FIXED_STEPS else None,
         detects_singularity=has_rank(dae),
-        functions=model_functions(
-            laws, system, derivatives=options.derivatives, adjoint=options.fmi == 3
-        ),
+        functions=model_functions(laws, system, **wanted),
         embedded=embedded,
     )

@@ -291,7 +291,7 @@ def instantiated(
             events.append((float(event[1]), event[2]))
 
     def explained(error: Exception) -> FmuError:
-        reason = _OF_CVODE.sub("CVODE: ", str(error)) or type(error).__name__
+        reason = _OF_CVODE.sub("CVODE: ", str(error)).removesuffix(".") or type(error).__name__
         last = log[-_MESSAGES:]
         advice = [_FEWER_STEPS] if _TOO_MANY_STEPS in reason else []
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):

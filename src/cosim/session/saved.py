@@ -1,0 +1,46 @@
+"""The bytes of a saved session: checksum, format, owner, clock, and the state of the FMU."""
+
+import struct
+import zlib
+
+from cosim.errors import UsageError
+
+_SUM = struct.Struct("<Q")
+_HEAD = struct.Struct("<8s16s3d2q")  # format, owner, clock, number of a state in this process
+_BEGIN = _SUM.size + _HEAD.size  # of the state, at a multiple of 8
+_FORMAT = b"session2"
+
+Clock = tuple[float, float, float, int]
+
+
+def packed(owner: bytes, clock: Clock, number: int, state: bytes, *, has_sum: bool) -> bytes:
+    """Return the bytes of a session.
+
+    Args:
+        owner: Of the state: a model or a session.
+        clock: Facts of the clock.
+        number: Of a state that the process holds.
+        state: Written by the FMU.
+        has_sum: Whether the state has a checksum of its own, which the FMU verifies.
+    """
+    head = _HEAD.pack(_FORMAT, owner, *clock, number)
+    return _SUM.pack(zlib.crc32(head if has_sum else head + state)) + head + state
+
+
+def unpacked(saved: bytes, *, has_sum: bool) -> tuple[bytes, Clock, int, bytes] | None:
+    """Return owner, clock, number and state; None if the bytes are damaged."""
+    head, state = saved[_SUM.size : _BEGIN], saved[_BEGIN:]
+    if len(head) < _HEAD.size:
+        return None
+    if _SUM.unpack_from(saved)[0] != zlib.crc32(head if has_sum else head + state):
+        return None
+    form, owner, now, first, length, count, number = _HEAD.unpack(head)
+    return (owner, (now, first, length, count), number, state) if form == _FORMAT else None
+
+
+def unpicklable(owner: str) -> UsageError:
+    """Return the error of pickling a session or copies."""
+    return UsageError(
+        f"{owner}: a session is a running model and cannot be pickled; pickle what save returns, "
+        "and restore it in another session"
+    )
