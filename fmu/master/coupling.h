@@ -319,7 +319,8 @@ static inline void estimate_error(Coupling *self, double error) {
 }
 
 /* Find the inputs that jump as the last step begins, as a small heat capacity off its balance does:
- * the rate there moves their cubic further than they have moved, or by more than their size. */
+ * the rate there moves their cubic further than they have moved, or by more than their size at
+ * either end. */
 static inline int find_jumps(Coupling *self, int accepted) {
     System *system = self->system;
     const long long m = system->inputs;
@@ -329,7 +330,7 @@ static inline int find_jumps(Coupling *self, int accepted) {
         const double value = fabs(self->found[k] - self->change[k]),
                      rate = fabs(self->found[m + k]);
         const double moved = accepted ? fmax(fmax(value, rate), system->tolerance) : 1;
-        self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, 1);
+        self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, fmax(value, 1));
         if (self->jumps[k] == 0) continue;
         any = 1;
         system->noted = k;

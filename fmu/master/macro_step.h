@@ -463,7 +463,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
         const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
-        agreed = left <= fmax(share * correction, ROUNDED);
+        agreed = left <= fmax(share * correction, ROUNDED * self->most);
         if (agreed) self->agreed_at = pass;
         if (agreed && (recording || !records)) break;
         idle = left < best ? 0 : idle + 1;
