@@ -195,15 +195,15 @@ typedef struct {
     double begin; /* its time */
 } Attempts;
 
-/* Note an attempt; tells whether the run hardly comes on, since many attempts are rejected. */
-static inline int is_held_up(const Coupling *self, Attempts *window, int rejected) {
+/* Note an attempt; tells whether it completes a window in which the run hardly comes on. */
+static inline int hardly_advances(const Coupling *self, Attempts *window, int rejected) {
     const double span = self->system->stop - self->system->start;
     if (window->made == 0) *window = (Attempts){.begin = self->now.t};
     ++window->made;
     window->rejected += rejected;
     if (window->made < WINDOW) return 0;
     window->made = 0;
-    return self->now.t - window->begin < HARDLY * span && window->rejected > WINDOW / 4;
+    return self->now.t - window->begin < HARDLY * span;
 }
 
 /* How a run ends whose macro steps become too short, for a reason. */
@@ -249,6 +249,7 @@ static inline int run_adaptive(Coupling *self) {
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
+    int slow = 0;
             if (isfinite(self->event)) h = self->event - system->time;
             continue;
         }
@@ -257,8 +258,10 @@ static inline int run_adaptive(Coupling *self) {
         const double factor =
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
         const int rejected = how == REJECTED || (too_far && !shortest);
+        if (slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         if (rejected && shortest && !self->ends) return vanished(self, self->reason);
-        if (is_held_up(self, &window, rejected)) return vanished(self, STEP_VANISHED);
+        slow = hardly_advances(self, &window, rejected || error > system->tolerance);
+        if (slow && window.rejected > WINDOW / 4) return vanished(self, STEP_VANISHED);
         if (rejected) {
             ++system->rejected;
             if (self->next.t == self->event) self->missed = self->event;
