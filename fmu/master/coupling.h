@@ -214,6 +214,19 @@ static inline int vanished(Coupling *self, int reason) {
     return reason == STEP_VANISHED && is_noisy(self, length, allowed) ? NOISY : reason;
 }
 
+/* The next event that ends a macro step: one that cut one short, or that a part has announced. */
+static inline double next_event(const Coupling *self) {
+    const System *system = self->system;
+    double next = self->event;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        if (part->own_step > 0) return self->event;
+        const int ahead = part->event_mode && !same_time(system, part->next_event, self->now.t);
+        if (ahead && part->next_event > self->now.t) next = fmin(next, part->next_event);
+    }
+    return next;
+}
+
 /* The end of the next macro step, about `h` long. */
 static inline double next_end(const Coupling *self, double h) {
     const System *system = self->system;
@@ -223,7 +236,7 @@ static inline double next_end(const Coupling *self, double h) {
         const double end = system->start + (round(taken) + steps) * system->quantum;
         return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
     }
-    const double goal = fmin(system->stop, self->event);
+    const double goal = fmin(system->stop, next_event(self));
     return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
 }
 
@@ -236,6 +249,7 @@ static inline int run_adaptive(Coupling *self) {
     const double longest = LONGEST * system->refinement * span;
     double h = first;
     Attempts window = {0};
+    int slow = 0;
     if (save_all(self)) return CALL_FAILED;
     if (is_noisy(self, h, system->tolerance)) return NOISY;
     while (system->time < system->stop && !same_time(system, system->time, system->stop)) {
@@ -244,12 +258,12 @@ static inline int run_adaptive(Coupling *self) {
         self->next.t = next_end(self, h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
+        if (slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
-    int slow = 0;
             if (isfinite(self->event)) h = self->event - system->time;
             continue;
         }
@@ -258,7 +272,6 @@ static inline int run_adaptive(Coupling *self) {
         const double factor =
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
         const int rejected = how == REJECTED || (too_far && !shortest);
-        if (slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         if (rejected && shortest && !self->ends) return vanished(self, self->reason);
         slow = hardly_advances(self, &window, rejected || error > system->tolerance);
         if (slow && window.rejected > WINDOW / 4) return vanished(self, STEP_VANISHED);
@@ -358,7 +371,7 @@ static inline int run_fixed(Coupling *self) {
         if (halted) return INTERRUPTED;
         double end = fmin(system->start + (double)n * system->macro_step, system->stop);
         if (same_time(system, end, system->stop)) end = system->stop;
-        self->next.t = fmin(end, self->event);
+        self->next.t = fmin(end, next_event(self));
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         double error = 0;
         const int how = given_step(self, &error);

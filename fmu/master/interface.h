@@ -186,7 +186,7 @@ static inline int settle_values(Coupling *self, double *u) {
     double last = INFINITY;
     if (!self->feedthrough) { /* no output feels an input at once */
         if (get_outputs(self, system->n_parts)) return CALL_FAILED;
-        for (long long k = 0; k < m; ++k)
+        for (long long k = 0; k < m; ++k) {
             if (!isfinite(u[system->input = k] = driven(self, k))) return NOT_A_NUMBER;
             self->most = fmax(self->most, fabs(u[k]) / size_of(system, k, u[k]));
         }
