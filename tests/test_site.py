@@ -25,12 +25,17 @@ def test_api_reference_has_every_public_name():
     assert sorted(listed) == sorted(cosim.__all__)
 
 
-def test_an_entry_of_several_names_is_shown_for_each():
-    griffe = pytest.importorskip("griffe")
-    place = ROOT / "docs/theme/docstrings.py"
-    spec = spec_from_file_location("docstrings", place)
+def imported(name):
+    """Return a module of the site's theme."""
+    spec = spec_from_file_location(name, ROOT / f"docs/theme/{name}.py")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+def test_an_entry_of_several_names_is_shown_for_each():
+    griffe = pytest.importorskip("griffe")
+    module = imported("docstrings")
     text = (
         "Say x, y: well.\n\nArgs:\n    a, b: Two\n        numbers.\n    c: One.\n\nExample:\n"
         "    >>> 1\n    1"
@@ -41,3 +46,21 @@ def test_an_entry_of_several_names_is_shown_for_each():
         "Say x, y: well.\n\nArgs:\n    a: Two\n        numbers.\n    b: Two\n        numbers.\n"
         "    c: One.\n\nExamples:\n    >>> 1\n    1"
     )
+
+
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [
+        (None, "See [events](events.md) and\nthe file."),
+        (
+            "https://x.org/a",
+            "See [events](events.md) and\n[the file](https://x.org/a/blob/HEAD/b/c.py).",
+        ),
+    ],
+    ids=["without an address", "with its address"],
+)
+def test_links_to_other_files_lead_to_the_repository(address, expected):
+    pytest.importorskip("latex2mathml")
+    pages = imported("pages")
+    text = "See [events](events.md) and\n[the file](../b/c.py)."
+    assert pages.on_page_markdown(text, config={"repo_url": address}) == expected

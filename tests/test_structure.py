@@ -1,6 +1,8 @@
 """The tree as a whole: no circle of imports, its size and density, tests where their code is."""
 
 import ast
+import fnmatch
+import re
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
@@ -116,6 +118,16 @@ def test_guard_counts_dense_lines(count, source, found):
 
 def test_no_file_is_overlong():
     assert {name: n for name, n in lines().items() if n > LONGEST} == {}
+
+
+def test_architecture_names_files_that_exist():
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = "".join(re.findall(r"^\| .*", page, re.MULTILINE))
+    named = re.findall(r"`([\w/*.]+(?:/|\.(?:py|toml|c|h|js|css|mplstyle)))`", rows)
+    folders = [*FOLDERS.values(), ROOT / "docs" / "theme", ROOT / "tests"]
+    known = [f"/{p.relative_to(ROOT).as_posix()}" for folder in folders for p in folder.rglob("*")]
+    patterns = {name: f"*/{name.rstrip('/')}" for name in named if "SYSTEM" not in name}
+    assert [name for name, pattern in patterns.items() if not fnmatch.filter(known, pattern)] == []
 
 
 def test_every_folder_of_tests_belongs_to_a_package():

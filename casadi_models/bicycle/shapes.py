@@ -9,6 +9,8 @@ from casadi_models.mechanics.rotations import about, unit
 
 _TUBE, _TYRE = 0.016, 0.022  # m, radii
 _BAR, _GRIP = 0.34, 0.2  # m, of the handlebar above S, of the hands from its middle
+_SHOULDER = 0.14  # m, from the neck
+_HALF_ARM = 0.9  # of the distance from shoulder to hand; two overlap, as this distance changes
 
 
 def draw(model: Model) -> None:
@@ -42,8 +44,14 @@ def draw(model: Model) -> None:
     for wheel, radius in (("rear wheel", rR), ("front wheel", rF)):
         size = ca.vertcat(radius, _TYRE)
         model.shape("wheel", "wheel", size, body=wheel, along=unit(2), color=DARK)
-    _frame(model, w, rR, to_S, tilt)
+    neck = _frame(model, w, rR, to_S, tilt)
     _fork(model, rR, hub)
+    bar = -_BAR * unit(3)  # from S, in C
+    for side, right in (("left", -1), ("right", 1)):
+        shoulder, hand = neck + _SHOULDER * right * unit(2), bar + _GRIP * right * unit(2)
+        reach = _HALF_ARM * ca.norm_2(to_S + about(2, tilt) @ hand - shoulder)  # at delta = 0
+        ends = rear_axle + frame @ shoulder, at_S + fork @ hand
+        _arm(model, side, ends, frame[:, 1], reach)
 
     for point, place, wheel in (("P", P, "rear"), ("Q", Q, "front")):
         force = ca.vertcat(*(model.named(f"f{axis}_{point}") for axis in "xyz"))
@@ -53,8 +61,11 @@ def draw(model: Model) -> None:
     model.trace("path of Q", Q, color=PINK)
 
 
-def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
-    """Draw frame and rider; points from the rear axle, in B, as parts of the wheelbase."""
+def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> SX:
+    """Draw frame and rider without arms; return the neck.
+
+    Points from the rear axle, in B, as parts of the wheelbase.
+    """
 
     def point(forward: float, up: float) -> SX:
         return ca.vertcat(forward * w, 0, rR - up * w)
@@ -62,19 +73,40 @@ def _frame(model: Model, w: SX, rR: SX, to_S: SX, tilt: SX) -> None:
     axle, crank, saddle = SX.zeros(3), point(0.42, 0.28), point(0.2, 0.82)
     head = to_S - 0.16 * w * (about(2, tilt) @ unit(3))
     hip, neck = point(0.2, 0.86), point(0.45, 1.38)
-    bar = to_S - _BAR * (about(2, tilt) @ unit(3))  # while the bicycle goes straight
     tubes = ((axle, crank), (axle, saddle), (crank, saddle), (crank, head), (saddle, head))
     for i, ends in enumerate(tubes, start=1):
         model.rod(f"tube {i}", ends, _TUBE, body="rear frame", color=BLUE)
     model.rod("trunk of the rider", (hip, neck), 0.1, body="rear frame", color=SKY)
     for side, right in (("left", -1), ("right", 1)):
         aside = 0.1 * right * unit(2)
-        hand = bar + _GRIP * right * unit(2)
-        arm, leg = (neck + 1.4 * aside, hand), (hip + aside, crank + aside)
-        model.rod(f"{side} arm of the rider", arm, 0.035, body="rear frame", color=SKY)
+        leg = hip + aside, crank + aside
         model.rod(f"{side} leg of the rider", leg, 0.05, body="rear frame", color=SKY)
+    shoulders = neck - _SHOULDER * unit(2), neck + _SHOULDER * unit(2)
+    model.rod("shoulders of the rider", shoulders, 0.05, body="rear frame", color=SKY)
     model.shape("head of the rider", "sphere", SX(0.1), body="rear frame",
                 at=point(0.5, 1.55), color=SKY)  # fmt: skip
+    return neck
+
+
+def _arm(model: Model, side: str, ends: tuple[SX, SX], aside: SX, reach: SX) -> None:
+    """Draw an arm as two rods, from shoulder and hand toward each other; points in the world.
+
+    Args:
+        model: The model.
+        side: "left" or "right".
+        ends: Shoulder and hand.
+        aside: The second axis of the rear frame.
+        reach: Length of a rod.
+    """
+    along = ends[1] - ends[0]
+    third = along / ca.norm_2(along)
+    first = ca.cross(aside, third)
+    first /= ca.norm_2(first)
+    axes = ca.horzcat(first, ca.cross(third, first), third)
+    for owner, end, length in (("rear frame", ends[0], reach), ("fork", ends[1], -reach)):
+        rod = SX.zeros(3), length * unit(3)
+        body = model.body(f"{owner}/{side} arm", end, axes)
+        model.rod(f"{side} arm of the rider", rod, 0.035, body=body, color=SKY)
 
 
 def _fork(model: Model, rR: SX, hub: SX) -> None:

@@ -111,13 +111,31 @@ def linear_solution(matrix: MX, right: MX, *, transposed: bool = False) -> MX:
     """Return the solution of linear equations, (n, m); not finite where there is none.
 
     Args:
-        matrix: (n, n), with rows of similar size; see `Dae.balanced`.
+        matrix: (n, n), with rows of similar size; see `Dae.balanced`. n may be 0.
         right: Right-hand sides, (n, m).
         transposed: Solve the equations of the transposed matrix.
     """
+    if not matrix.numel():
+        return MX(*right.shape)
     # eps: by default, a column of small elements is taken for a singularity
     method = ca.Linsol("linear_solution", "qr", matrix.sparsity(), {"eps": 0.0})
     return method.solve(matrix, right, transposed)
+
+
+def implicit_change(symbols: Sequence[SX], slopes: SX, moved: SX) -> ca.Function:
+    """Return how the solution z of equations g(y, z) = 0 changes as y moves in a direction s.
+
+    By the implicit function theorem, (dg/dz) w = -(dg/dy) s.
+
+    Args:
+        symbols: Arguments of the function, which returns w, (n, 1).
+        slopes: dg/dz, (n, n); see `linear_solution`.
+        moved: (dg/dy) s, (n, 1).
+    """
+    law = ca.Function("along", symbols, [slopes, -moved], {"cse": True})
+    arguments = [MX.sym("argument", symbol.sparsity()) for symbol in symbols]
+    change = linear_solution(*law(*arguments))
+    return ca.Function("implicit_change", arguments, [change], {"always_inline": True})
 
 
 def is_structurally_regular(residual: SX, unknowns: SX) -> bool:

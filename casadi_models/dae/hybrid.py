@@ -17,7 +17,7 @@ from casadi import MX, SX
 
 from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import RELATIONS, column, linear_solution, operations
+from casadi_models.dae.expressions import RELATIONS, column, implicit_change, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, term_sizes
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
@@ -59,7 +59,7 @@ class Hybrid:
     @cached_property
     def arguments(self) -> SX:
         """Arguments of the relations, (n, 1)."""
-        return ca.densify(ca.vertcat(SX(0, 1), *(r.argument for r in self.relations)))
+        return column(r.argument for r in self.relations)
 
     @cached_property
     def in_laws(self) -> tuple[bool, ...]:
@@ -96,7 +96,7 @@ class Hybrid:
     @cached_property
     def linear(self) -> tuple[bool, ...]:
         """For each relation, whether its argument depends on time alone, and linearly."""
-        t, arguments = self.dae.t, ca.vertsplit(self.arguments) if self.relations else []
+        t, arguments = self.dae.t, ca.vertsplit(self.arguments)
         return tuple(
             alone
             and not ca.depends_on(ca.jacobian(argument, t), t)
@@ -126,18 +126,13 @@ class Hybrid:
     @cached_property
     def constant(self) -> list[int]:
         """Positions of the states that only events change."""
-        rates = enumerate(ca.vertsplit(self.dae.ode) if self.dae.states else [])
-        return [i for i, rate in rates if rate.is_zero()]
+        return [i for i, rate in enumerate(ca.vertsplit(self.dae.ode)) if rate.is_zero()]
 
     @property
     def rules(self) -> tuple[SX, SX]:
         """Conditions of all events, and all values that they assign; columns."""
-        conditions = (event.condition for event in self.events)
-        values = (event.values for event in self.events)
-        return (
-            ca.densify(ca.vertcat(SX(0, 1), *conditions)),
-            ca.densify(ca.vertcat(SX(0, 1), *values)),
-        )
+        conditions = column(event.condition for event in self.events)
+        return conditions, column(event.values for event in self.events)
 
     def rounding(self, name: str) -> ca.Function:
         """Return a function of t, x, z, u, p and sizes of x: how far relative rounding moves.
@@ -169,7 +164,7 @@ class Hybrid:
         given = ca.vertcat(dae.t, dae.x, dae.z)
         sizes = ca.fabs(ca.jacobian(self.arguments, given)) @ rates
         rows = (sizes[i] * (not alone) for i, alone in enumerate(self.of_time))
-        return ca.densify(ca.vertcat(SX(0, 1), *rows))
+        return column(rows)
 
     def _rate_terms(self) -> SX:
         """Return sizes of the terms that make the arguments' time derivatives, (n, 1).
@@ -288,11 +283,10 @@ class Hybrid:
         law = ca.Function("law", [*given, w], results, {"cse": True})
         symbols = [MX.sym("argument", s.numel()) for s in given]
         dz = MX.zeros(w.numel())
-        if dae.algebraics and ca.depends_on(ca.vertcat(*results), w):
+        if ca.depends_on(ca.vertcat(*results), w):
             known, along = ca.vertcat(dae.t, dae.x, dae.u), ca.vertcat(1, ode, others[0])
-            pair = [ca.jacobian(dae.balanced, dae.z), ca.jtimes(dae.balanced, known, along)]
-            matrix, rate = ca.Function("slopes", given, pair)(*symbols)
-            dz = -linear_solution(matrix, ca.densify(rate))
+            moved = ca.jtimes(dae.balanced, known, along)
+            dz = implicit_change(given, ca.jacobian(dae.balanced, dae.z), moved)(*symbols)
         return ca.Function(name, symbols, [ca.densify(found) for found in law(*symbols, dz)])
 
     def rates(
@@ -447,7 +441,6 @@ def hybrid(dae: Dae) -> Hybrid | None:
     relations = laws.relations
     if not relations and not dae.events:
         return None
-    count = len(dae.inputs)
     more = _mode_inputs(relations)
     smooth = replace(
         dae,
@@ -459,11 +452,10 @@ def hybrid(dae: Dae) -> Hybrid | None:
         events=(),
         smooth=(),
     )
-    assert smooth.u.numel() == count + len(relations)
     events = tuple(
         replace(event, condition=condition)
         for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
-    ) if dae.events else ()  # fmt: skip
+    )
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
 
 

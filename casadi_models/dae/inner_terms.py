@@ -10,6 +10,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.expressions import symbols
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.hybrid import Mode
 from casadi_models.dae.relations import applied, called
@@ -80,22 +81,22 @@ class SeveralInner(NamedTuple):
 def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
     columns = dae.x, dae.t, dae.z, dae.u
-    moving = [symbol for column in columns if column.numel() for symbol in ca.vertsplit(column)]
+    moving = [symbol for column in columns for symbol in ca.vertsplit(column)]
     modes = sum(isinstance(variable, Mode) for variable in dae.inputs)
     moving = moving[: len(moving) - modes]  # a mode does not move: it jumps
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
-    known, found = {*places, *_keys(dae.p)}, list[SeveralInner]()
+    known, found = {*places, *symbols(dae.p)}, list[SeveralInner]()
     resting, inverse = map(ca.vertsplit, several_terms(dae))
     for i, term in enumerate((*resting, *inverse)):
-        symbols = {symbol.element_hash() for symbol in ca.symvar(term)}
-        if not symbols <= known:
+        own = symbols(term)
+        if not own.keys() <= known:
             continue
-        movers = [symbol for symbol in moving if symbol.element_hash() in symbols]
+        movers = [symbol for symbol in moving if symbol.element_hash() in own]
         node, variables = _in_variables(dae, movers, term)
         given = _parameters_of(dae, node.form)
         each = list[InnerTerm]()
         for variable, symbol in (variables[root] for root in sorted(node.roots)):
-            (mover,) = {s.element_hash() for s in ca.symvar(variable)} & {*places}
+            (mover,) = symbols(variable).keys() & places.keys()
             each.append(InnerTerm((places[mover],), variable, symbol, node.form, given, ()))
         every = tuple(places[symbol.element_hash()] for symbol in movers)
         alone = tuple(_alone(dae, every, ca.vertcat(*movers), term))
@@ -120,10 +121,6 @@ def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[
         if not ca.depends_on(forms[nodes[-1][0]], movers):
             for found in _inner(dae, places, symbol, forms[nodes[-1][0]]):
                 yield found._replace(variable=ca.substitute(found.variable, symbol, value))
-
-
-def _keys(column: SX) -> list[int]:
-    return [symbol.element_hash() for symbol in ca.vertsplit(column)] if column.numel() else []
 
 
 def _parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from typing import TypeVar
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import RELATIONS, operations
+from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
 
 COMPARISONS = ("<", "<=")
@@ -127,8 +127,8 @@ class LawsWithModes:
         for k, (code, operands) in enumerate(zip(self._codes, self._operands, strict=True)):
             terms = [values[i][part] for i, part in operands]
             if code == ca.OP_INPUT:
-                column, row = function.instruction_input(k)
-                values.append([self._symbols[column][row]])
+                argument, row = function.instruction_input(k)
+                values.append([self._symbols[argument][row]])
             elif code == ca.OP_CONST:
                 values.append([SX(function.instruction_constant(k))])
             elif code == ca.OP_OUTPUT:
@@ -142,10 +142,7 @@ class LawsWithModes:
             else:
                 values.append([applied(code, terms)])
         rows = [[self._targets[output, row] for row in range(n)] for output, n in enumerate(sizes)]
-        return [
-            ca.densify(ca.vertcat(SX(0, 1), *(values[k][part] for k, part in places)))
-            for places in rows
-        ]
+        return [column(values[k][part] for k, part in places) for places in rows]
 
     def _called(self, terms: Sequence[SX], results: int) -> list[SX]:
         """Return the results of a function that the laws call.
@@ -235,9 +232,9 @@ class LawsWithModes:
 def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
     """Return the nonzeros of all results of a function, from those of all arguments."""
     ends = accumulate((function.nnz_in(i) for i in range(function.n_in())), initial=0)
-    column = ca.vertcat(*terms)
+    nonzeros = ca.vertcat(*terms)
     given = [
-        SX(function.sparsity_in(i), column[begin:end])
+        SX(function.sparsity_in(i), nonzeros[begin:end])
         for i, (begin, end) in enumerate(pairwise(ends))
     ]
     return [row for result in function.call(given) for row in _nonzeros(result)]
@@ -286,16 +283,16 @@ def replayed(
     return rows
 
 
-def term_sizes(column: SX) -> SX:
+def term_sizes(laws: SX) -> SX:
     """Return the sizes of the terms that make each row, which may cancel: (n, 1).
 
     Rounding of a row is relative to them, not to its value. What a function other than a sum, a
     product or a quotient makes of terms has the size of its value.
     """
-    given = ca.symvar(column)
-    function = ca.Function("column", given, [ca.densify(column)], {"cse": True})
-    if ca.OP_CALL in operations(column):
-        return ca.fabs(column)
+    given = ca.symvar(laws)
+    function = ca.Function("laws", given, [ca.densify(laws)], {"cse": True})
+    if ca.OP_CALL in operations(laws):
+        return ca.fabs(laws)
 
     def operation(code: int, terms: list[tuple[SX, SX]]) -> tuple[SX, SX]:
         values, sizes = zip(*terms, strict=True)
@@ -323,4 +320,4 @@ def term_sizes(column: SX) -> SX:
     rows = replayed(
         function, lambda i, _: (given[i], ca.fabs(given[i])), lambda c: (c, ca.fabs(c)), operation
     )[0]
-    return ca.densify(ca.vertcat(SX(0, 1), *(size for _, size in rows)))
+    return column(size for _, size in rows)

@@ -77,7 +77,7 @@ class Scenery(Declaring):
         """Declare a moving frame for shapes; return its name.
 
         Args:
-            name: Of the body.
+            name: Of the body; BODY/PART for a part of one, whose own axes are not shown.
             place: Its origin in the world, (3, 1), m.
             rotation: R of its axes in the world, (3, 3); it does not turn when None.
         """

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
+from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.frozen import Dae
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
@@ -72,8 +73,7 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
             resting.append(value if code != ca.OP_CALL else value.get_output(0))
         elif code == ca.OP_INV or (code in _STAYS and operands[_STAYS[code]].moving == _NONE):
             inverse.append(value)
-    columns = (ca.densify(ca.vertcat(SX(0, 1), *terms)) for terms in (resting, inverse))
-    return next(columns), next(columns)
+    return column(resting), column(inverse)
 
 
 def _terms(dae: Dae) -> list[_Node]:
@@ -102,14 +102,15 @@ def _nodes(dae: Dae) -> Iterator[tuple[_Node, list[_Node]]]:
 
 
 def _roots(dae: Dae) -> list[SX]:
-    return [*_elements(dae.ode), *_elements(dae.alg), *(margin for margin, _ in dae.limits)]
+    laws = ca.vertcat(dae.ode, dae.alg)
+    return [*ca.vertsplit(laws), *(margin for margin, _ in dae.limits)]
 
 
 def _moving(dae: Dae) -> dict[int, int]:
     """Return what moves a symbol, by its hash: see `_Node.moving`."""
-    moving = {symbol.element_hash(): i for i, symbol in enumerate(_elements(dae.x))}
+    moving = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(dae.x))}
     moving[dae.t.element_hash()] = dae.x.numel()
-    return moving | {symbol.element_hash(): _NONE for symbol in _elements(dae.p)}
+    return moving | dict.fromkeys(symbols(dae.p), _NONE)
 
 
 def _key(node: _Node) -> int:
@@ -133,10 +134,6 @@ def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
     node = _Node(value, moving, (), is_local)
     terms = tuple(term for operand in operands for term in operand.terms)
     return node._replace(terms=terms if code in SUMS else (node,))
-
-
-def _elements(column: SX) -> list[SX]:
-    return [column[i] for i in range(column.numel())] if column.numel() else []
 
 
 def in_postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:

@@ -99,8 +99,7 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
         known.append(i)
         lows += [span.low for span in spans]
         highs += [span.high for span in spans]
-    low, high = (ca.densify(ca.vertcat(SX(0, 1), *rows)) for rows in (lows, highs))
-    return TimeBounds(length, tuple(known), low, high)
+    return TimeBounds(length, tuple(known), column(lows), column(highs))
 
 
 def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosures:
@@ -137,8 +136,7 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
             continue
         found += spans
         known.append(i)
-    bounds = (ca.densify(column(end)) for end in zip(*[s[:2] for s in found], strict=True))
-    least, most = bounds if found else (SX(0, 1), SX(0, 1))
+    least, most = column(span.low for span in found), column(span.high for span in found)
     return Enclosures((length, low, high, slowest, fastest), tuple(known), least, most)
 
 

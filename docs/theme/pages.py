@@ -1,4 +1,4 @@
-"""MkDocs hook: formulas become MathML, and the pages that compute are written beside the site's.
+"""MkDocs hook: formulas become MathML, links to the repository lead there, and pages compute.
 
 MathML is part of HTML: the pages show their formulas without a script and without a network.
 """
@@ -11,6 +11,7 @@ from typing import Any
 from latex2mathml.converter import convert
 
 ADJACENT_FORMULAS = re.compile(r"(?<=\S)\$\$\n\$\$(?=\S)")
+OUTSIDE = re.compile(r"\[([^\]]+)\]\(\.\./([^)\s]+)\)")  # a link to a file that is no page
 FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
@@ -27,9 +28,14 @@ LIVE = (
 )
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Return the text of a page with fences and formulas as Python-Markdown reads them."""
+def on_page_markdown(markdown: str, config: Any, **_: Any) -> str:
+    """Return the text of a page with fences and formulas as Python-Markdown reads them.
+
+    Links to other files of the repository lead to its address, or are plain text without one.
+    """
     markdown = markdown.replace("```python fragment", "```python")  # a mark of tests/test_docs.py
+    address = config["repo_url"]
+    markdown = OUTSIDE.sub(rf"[\1]({address}/blob/HEAD/\2)" if address else r"\1", markdown)
     return ADJACENT_FORMULAS.sub("$$\n\n$$", markdown)
 
 

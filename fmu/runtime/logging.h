@@ -64,7 +64,7 @@ static PRINTF_LIKE void log_text(const Instance *self, Status status, const char
     va_end(list);
 }
 
-/* Log why, and return the status. After an error only reset, restore and free lead on:
+/* Log why, and return the status. After an error only reset, restore and free are possible:
    FMI 2 has a state for that, FMI 3 terminates. */
 static PRINTF_LIKE Status refuse(Instance *self, Status status, const char *format, ...) {
     va_list list;

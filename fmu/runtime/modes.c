@@ -15,26 +15,7 @@ Point present(Instance *self) {
                    values + FIRST_INPUT};
 }
 
-static const ModelLaws model_laws = {
-    .algebraic = model_algebraic,
-    .relations = model_relations,
-    .rounding = model_rounding,
-    .timed = model_timed,
-    .conditions = model_conditions,
-#if BOUNDED > 0
-    .bounds = model_bounds,
-#endif
-#if ENCLOSED > 0
-    .enclosure = model_enclosure,
-#endif
-    .relation_table = relation_table,
-    .rules = rule_table,
-    .assigned = assigned_states,
-    .adds = adding,
-    .barriers = barring,
-    .bounded = bounded_ones,
-    .enclosed = enclosed_ones,
-};
+static const ModelLaws model_laws = MODEL_LAWS;
 
 Laws laws_of(Instance *self) {
     Laws laws = laws_of_model(&self->laws);

@@ -15,7 +15,7 @@
 
 static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks that agree */
 
-/* What comes is unknown, until the importer tells or is asked again. */
+/* The derivatives of the inputs are unknown until the importer sets them again. */
 static void forget_motion(Instance *self) {
     memset(self->state.motion, 0, sizeof self->state.motion);
 }

@@ -20,7 +20,7 @@ typedef struct {
 
 static const LaneOutputs outputs;
 
-/* A run and what is wanted of it. */
+/* A run and its requested outputs. */
 typedef struct {
     long long points, columns; /* times; rows of u: 1 that holds throughout, or one per time */
     const double *t, *x, *u, *p;

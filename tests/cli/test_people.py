@@ -204,6 +204,28 @@ def test_plot_of_a_result_draws_the_outputs_that_are_named(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "line",
+    ["animate crank_shaft --at 0 -o x.png", "new x.py", "report crank_torque.toml -o x.html"],
+)
+def test_verb_that_writes_a_file_reports_it_as_json(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = line.split()
+    short = [] if words[0] == "new" else ["--stop-time", "0.1", *INTERPRETED]
+    extra = ["--no-crosscheck"] if words[0] == "report" else []
+    assert main([*words, *short, *extra, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [words[-1]]
+
+
+def test_sweep_prints_its_table_as_json(capsys):
+    line = "sweep crank_shaft -p omega=40,50 --stop-time 0.1 --outputs phi --workers 0 --json -q"
+    assert main(line.split()) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["omega"] for row in rows] == [40.0, 50.0]
+    assert [row["phi_final"] for row in rows] == pytest.approx([4.05, 5.05])  # 10 t^2 / 2 + omega t
+
+
+@pytest.mark.slow
 def test_export_and_plot_report_written_files_as_json(tmp_path, capsys):
     picture = tmp_path / "a.png"
     assert main(["plot", "crank_torque.toml", "-o", str(picture), "--json"]) == 0

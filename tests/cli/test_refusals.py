@@ -45,6 +45,10 @@ def refused(capsys, monkeypatch, tmp_path):
         ("zz", "cosim: there is no verb 'zz'; see: cosim --help"),
         ("simulate crank_shaft -o out.", "out.: give a name with .csv or .mat or .json"),
         ("sweep crank_shaft -o a.b.", "a.b.: give a name with .csv"),
+        ("tradeoff bicycle --output-file a.txt", "a.txt: give a name with .csv or .json;"),
+        ("tradeoff bicycle -o a.png", "with .csv or .json, or draw with --figure a.png"),
+        ("extremes crank_shaft -o a.pdf", "with .csv, or draw with --figure a.pdf"),
+        ("sweep crank_shaft -o a.png", "a.png: give a name with .csv; see"),
         ("simulate", "required: MODEL|SCENE.toml|FILE.fmu; see: cosim simulate --help"),
         ("simulate bicycle --stop-time \x1b[31m1", r"invalid float value: '\\x1b\[31m1'"),
         ("extremes own.py:build", "has no extreme cases"),
@@ -192,7 +196,6 @@ def test_other_verbs_reject_invalid_numbers(line, refused):
         ("plot bicycle --output-file a.png --compare multiplier", "did you mean multipliers"),
         ("tradeoff bicycle --figure a.bmp", "no picture format 'bmp'"),
         ("extremes crank_shaft --figure a.bmp", "no picture format 'bmp'"),
-        ("tradeoff bicycle --output-file a.txt", "no file format '.txt'; it has .csv, .json"),
     ],
 )
 def test_unknown_name_is_reported_with_the_nearest_name(line, expected, refused):

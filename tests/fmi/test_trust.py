@@ -53,8 +53,9 @@ def test_foreign_file_is_warned_of_until_it_is_trusted(foreign, capsys):
 
 def test_policy_known_refuses_what_is_not_trusted(foreign, monkeypatch, capsys):
     monkeypatch.setenv("COSIM_TRUST", "known")
-    for words in (["simulate", str(foreign)], ["crosscheck", str(foreign)]):
-        assert main(words) == 1
+    verbs = ("simulate", "crosscheck", "linearize", "check --run", "sweep -p x=1,2")
+    for verb, *options in (words.split() for words in verbs):
+        assert main([verb, str(foreign), *options]) == 1, verb
         captured = capsys.readouterr()
         assert "is not run: it was not exported here" in captured.err
         assert captured.out == ""

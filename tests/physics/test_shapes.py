@@ -63,6 +63,33 @@ def test_bicycle_steers_to_the_right_for_positive_steer():
     assert heading @ np.array([0, 1, 0]) * np.sign(heading[0]) > 0.2
 
 
+@pytest.mark.parametrize("steer", [0.0, 0.3, -1.5])
+def test_arms_of_the_rider_reach_the_turned_bar(steer):
+    values = {"delta": steer, "phi_dot": 0.0}
+    _, played = shown("bicycle/multipliers", start_values=values, stop_time=0.01)
+    bar = next(solid for solid in played.solids if solid.name == "handlebar")
+    middle = place(played, "fork", 0) + turn(played, "fork")[0] @ bar.at
+    along = turn(played, "fork")[0] @ bar.rotation[:, 2]
+    for side, right in (("left", -1), ("right", 1)):
+        hand = place(played, f"fork/{side} arm", 0)
+        np.testing.assert_allclose(hand, middle + 0.2 * right * along, atol=1e-12)
+        shoulder = place(played, f"rear frame/{side} arm", 0)
+        distance = np.linalg.norm(hand - shoulder)
+        rods = [solid for solid in played.solids if solid.name == f"{side} arm of the rider"]
+        ends = [
+            played.places[0, rod.body]
+            + to_matrices(played.quaternions[0, rod.body][None])[0] @ (2 * rod.at)
+            for rod in rods
+        ]
+        for rod, begin, end in zip(rods, (shoulder, hand), ends, strict=True):
+            assert rod.size[1] == pytest.approx(np.linalg.norm(end - begin))
+            assert rod.size[1] < distance  # no rod reaches beyond the other's end
+        assert sum(rod.size[1] for rod in rods) > distance  # and there is no gap
+        np.testing.assert_allclose(
+            np.cross(hand - shoulder, ends[0] - shoulder), 0, atol=1e-12
+        )  # straight
+
+
 def test_wheel_of_the_bicycle_rolls_on_the_ground():
     run, played = shown("bicycle", stop_time=1.0)
     steps = np.diff(load(played, "force at P").at, axis=0)

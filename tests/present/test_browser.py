@@ -211,16 +211,40 @@ def test_message_on_a_phone_leaves_the_bodies_to_be_seen(tmp_path):
     run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
     path = animate(run, tmp_path / "x.html")
     code = f"""
+        const [box, view] = ["alarm", "view"].map((name) => document.getElementById(name));
+        const before = view.offsetHeight;
         player.complaints = () => ["stopped at 1.68 s: the step from 1.68 to 1.69 came no further "
             + "than 1.68249; invalid: the rear wheel would lift off", "another one"];
         player.stale = true;
         {FRAMES}
-        const [box, view] = ["alarm", "view"].map((name) => document.getElementById(name));
-        return [box.offsetHeight / view.offsetHeight, box.offsetHeight];
+        const covered = view.getBoundingClientRect().bottom - box.getBoundingClientRect().top;
+        return [before, view.offsetHeight, covered, box.offsetHeight];
     """
-    share, height = phone(path, code, tmp_path)
-    assert share < 0.25
-    assert height >= 44  # it unfolds under a finger
+    before, after, covered, height = phone(path, code, tmp_path)
+    assert after == before == pytest.approx(0.42 * 844, abs=1)
+    assert covered <= 0
+    assert 44 <= height <= 0.3 * after  # it unfolds under a finger
+
+
+def test_message_stands_below_the_picture_and_title_and_buttons_above_it(tmp_path):
+    run = cosim.simulate(spinning(4.0, limit=2.0), stop_time=1.0, compiled=False)
+    path = animate(run, tmp_path / "x.html")
+    code = f"""
+        player.go(0);
+        {FRAMES}
+        const [box, view] = ["alarm", "view"].map((name) => document.getElementById(name));
+        const before = box.textContent, height = view.offsetHeight;
+        player.go(0.9);
+        {FRAMES}
+        const button = document.getElementById("fit").getBoundingClientRect();
+        const hit = document.elementFromPoint(button.left + 5, button.top + 5);
+        return [before, box.textContent, view.offsetHeight - height, hit.id,
+                box.getBoundingClientRect().top >= view.getBoundingClientRect().bottom,
+                player.scene.canvas.height / window.devicePixelRatio === view.offsetHeight];
+    """
+    before, after, moved, hit, below, fits = asked(path, code, tmp_path)
+    assert before == after == "invalid from 0.5 s: not fulfilled: the disk turns by less than 2 rad"
+    assert (moved, hit, below, fits) == (0, "fit", True, True)
 
 
 def test_message_of_a_page_without_bodies_does_not_cover_its_title(tmp_path):

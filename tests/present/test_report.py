@@ -32,7 +32,8 @@ def test_report_holds_every_part(page):
         assert f'<h2 id="{i}">{part}' in page
         assert f'<a href="#{i}">{part}' in page
     text = without_playback(page)
-    for fact in ("Unit 7, Example 1", "seven welded slender bars", "phi, omega", "477.46483",
+    for fact in ("Unit 7, Example 1", "seven welded slender bars", "<b>Model</b>: bars slender",
+                 "phi, omega", "477.46483",
                  "6.4994176", "fmu-me", "crank_shaft/multipliers", "SHA-256",
                  "cosim report crank_shaft.toml"):  # fmt: skip
         assert fact in text
@@ -103,6 +104,32 @@ def test_invalid_run_is_called_so_at_the_top():
     assert "shaded: invalid from" in page
 
 
+def test_report_of_a_large_model_has_linear_equations():
+    dae = cosim.load("bicycle")
+    run = cosim.simulate(dae, stop_time=0.1, compiled=False)
+    scene = cosim.Scene("x", cosim.requested(dae))
+    page = report(ReportContents(scene, dae, run, None, [], "cosim report bicycle"))
+    linear = page[page.index("<h3>Linear equations") : page.index("The model is valid while")]
+    assert "1 step of Newton" in linear
+    assert "phi_dot = 0 rad/s instead of 0.5" in linear
+    assert linear.count(" operations)") == 0
+    assert "<td>theta</td><td>0</td>" in page  # calculated, but for rounding
+    for formulation in ("independent", "book", "multipliers"):
+        assert f"<b>{formulation}</b>: " in page
+
+
+def test_command_of_a_report_holds_no_absolute_path(tmp_path, monkeypatch):
+    own = tmp_path / "own.py"
+    assert main(["new", str(own), "-q"]) == 0
+    target = tmp_path / "x.html"
+    words = ["report", f"{own}:build", "-o", str(target), "--no-crosscheck", "--stop-time", "0.1"]
+    monkeypatch.setattr("sys.argv", ["cosim", *words])
+    assert main([*words, "-q"]) == 0
+    text = without_playback(target.read_text(encoding="utf-8"))
+    assert "cosim report own.py:build -o x.html --no-crosscheck" in text
+    assert str(tmp_path) not in text
+
+
 def test_report_of_something_else_is_refused(capsys):
     assert main(["report", "bicycle", "-o", "x.pdf"]) == 3
     assert main(["report", "x.fmu", "-o", "x.html"]) == 2
@@ -113,5 +140,8 @@ def test_report_fits_a_phone_and_a_dark_screen_and_shows_the_equations(page):
     text = without_playback(page)
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
     assert "prefers-color-scheme: dark" in text
-    assert text.count("<math") == 2  # d phi / dt = omega, d omega / dt = alpha
+    equations = text[text.index("<h3>Equations") : text.index("<h3>Outputs")]
+    assert equations.count("<math") == 2  # d phi / dt = omega, d omega / dt = alpha
+    assert "<h3>Linear" not in text  # all equations are printed
+    assert "svg, img { filter: invert" in text  # white paper would dazzle
     assert '<div class="paper"><figure>' in text  # on the screen, the playback shows it

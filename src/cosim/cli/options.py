@@ -101,16 +101,23 @@ TYPES: dict[str, Callable[[str], Any]] = {
 }
 
 
+_PICTURES = (".png", ".svg", ".pdf")
 METAVARS = {"int": "N", "seconds": "S", "time_limit": "S"}  # where an option has no other
 
 
-def _file_name(endings: Sequence[str]) -> Callable[[str], str]:
-    """Return the type of an option for the name of a file that has one of the endings, or none."""
+def _file_name(endings: Sequence[str], drawn: bool) -> Callable[[str], str]:
+    """Return the type of an option for the name of a file that has one of the endings, or none.
+
+    `drawn`: whether the verb writes figures by another option.
+    """
 
     def checked(name: str) -> str:
         ending = Path(name).suffix.lower()
         if (ending or name.endswith(".")) and ending not in endings:  # Python 3.14 calls it "."
-            raise argparse.ArgumentTypeError(f"{name}: give a name with {' or '.join(endings)}")
+            hint = f", or draw with --figure {name}" if drawn and ending in _PICTURES else ""
+            raise argparse.ArgumentTypeError(
+                f"{name}: give a name with {' or '.join(endings)}{hint}"
+            )
         return name
 
     return checked
@@ -131,7 +138,7 @@ def add_options(parser: Parser, verb: Verb) -> None:
             keywords.setdefault("metavar", METAVARS.get(keywords["type"]))
             keywords["type"] = TYPES[keywords["type"]]
         if "endings" in keywords:
-            keywords["type"] = _file_name(keywords.pop("endings"))
+            keywords["type"] = _file_name(keywords.pop("endings"), "figure" in verb.options)
         if name in verb.exclusive:
             group = exclusive = exclusive or group.add_mutually_exclusive_group()
         group.add_argument(*flags, **keywords)

@@ -36,6 +36,14 @@ def note(args: argparse.Namespace, *lines: object) -> None:
         print(*lines, sep="\n", file=sys.stderr, flush=True)
 
 
+def report_files(args: argparse.Namespace, *paths: object, **facts: Any) -> None:
+    """Name the files that were written: as a note, or with further facts as JSON."""
+    if args.json:
+        print(json.dumps({"files": [str(path) for path in paths], **facts}))
+    else:
+        note(args, *paths)
+
+
 def colors() -> bool:
     """Return whether to color output: a terminal supports it and NO_COLOR is not set."""
     allowed = "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"

@@ -1,12 +1,12 @@
 """The laws of a model for the kernel of events (fmu/solvers/hybrid): functions and tables."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import accumulate
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import symbols
+from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.relations import replayed
 from cosim.memo import cached_per_thread
@@ -22,7 +22,7 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
     """
     dae = system.dae
     pairs = zip(system.of_time, system.relations, strict=True)
-    times = ca.densify(ca.vertcat(SX(0, 1), *(int(own) * r.argument for own, r in pairs)))
+    times = column(int(own) * r.argument for own, r in pairs)
     defects = ca.vertcat(SX(0, 1), *(ca.norm_inf(law.residual) for law in dae.invariants))
     timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
     seen = system.watching("seen")
@@ -57,8 +57,23 @@ def law_sizes(system: Hybrid) -> dict[str, int]:
     }
 
 
-def law_tables(system: Hybrid) -> str:
-    """Return the C tables of relations and rules; see fmu/solvers/hybrid/laws.h."""
+_FUNCTIONS = (
+    "algebraic", "relations", "rounding", "timed", "conditions", "bounds", "enclosure", "inputs",
+)  # fmt: skip
+_TABLES = (
+    "relation_table", "rule_table", "assigned_states", "adding", "barring", "bounded_ones",
+    "enclosed_ones",
+)  # fmt: skip
+
+
+def law_tables(system: Hybrid, functions: Collection[ca.Function]) -> str:
+    """Return the C tables of relations and rules; see fmu/solvers/hybrid/laws.h.
+
+    `MODEL_LAWS` lists these and functions of the model in the order of fmu/solvers/model_laws.h.
+    """
+    known = {function.name() for function in functions}
+    names = (f"model_{name}" for name in _FUNCTIONS)
+    members = (*(name if name in known else "NULL" for name in names), *_TABLES)
     relations = [
         (r.floor, of_time, linear, of_input, in_laws, r.at_zero)
         for r, of_time, linear, of_input, in_laws in zip(
@@ -84,6 +99,7 @@ def law_tables(system: Hybrid) -> str:
         _rows("static const Relation relation_table", relations),
         _rows("static const Rule rule_table", rules),
         *(_numbers(f"static const {name}", values) for name, values in numbers.items()),
+        f"#define MODEL_LAWS {{{', '.join(members)}}}",
     ]
     return "\n".join(tables) + "\n"
 
@@ -98,12 +114,6 @@ def _rows(head: str, rows: Sequence[tuple[int, ...]]) -> str:
 
 def _numbers(head: str, values: Sequence[int]) -> str:
     return f"{head}[] = {{{', '.join(str(int(value)) for value in (*values, 0))}}};"
-
-
-TABLES = (
-    "relation_table", "rule_table", "assigned_states", "adding", "barring", "bounded_ones",
-    "enclosed_ones",
-)  # fmt: skip
 
 
 @cached_per_thread(16)
@@ -144,9 +154,7 @@ def _barriers(system: Hybrid) -> list[list[int]]:
     """Return for each event the relations of its condition whose rates its assignments change."""
     dae, constant = system.dae, set(system.constant)
     unknown, moving = SX.sym("dz", dae.z.numel()), SX.sym("du", dae.u.numel())
-    rates = (
-        ca.vertsplit(system.rates(system.arguments, unknown, moving)) if system.relations else []
-    )
+    rates = ca.vertsplit(system.rates(system.arguments, unknown, moving))
     modes, states = ca.vertsplit(system.modes), ca.vertsplit(dae.x)
     found = list[list[int]]()
     for event in system.events:

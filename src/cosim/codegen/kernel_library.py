@@ -9,13 +9,10 @@ from cosim.codegen.c_sources import solver_source
 from cosim.codegen.casadi_library import cache_key, generated, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
-from cosim.codegen.hybrid_laws import TABLES, law_functions, law_sizes, law_tables
+from cosim.codegen.hybrid_laws import law_functions, law_sizes, law_tables
 from cosim.codegen.initialization import algebraic_function
 from cosim.memo import cached_per_thread
 
-_FUNCTIONS = (
-    "algebraic", "relations", "rounding", "timed", "conditions", "bounds", "enclosure", "inputs",
-)  # fmt: skip
 _SIZES = ("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED")
 
 
@@ -62,9 +59,6 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
         laws = system.blended()
         functions = [algebraic_function(laws.dae), *law_functions(laws)]
         functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
-    known = {function.name() for function in functions}
-    names = (f"model_{name}" for name in _FUNCTIONS)
-    members = ", ".join((*(n if n in known else "NULL" for n in names), *TABLES))
     sizes = law_sizes(system)
     for size in ("arg", "res", "iw", "w"):
         most = max((getattr(f, f"sz_{size}")() for f in functions), default=0)
@@ -72,7 +66,7 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
     return LawText(
         functions,
         "".join(f"#define {name} {size}\n" for name, size in sizes.items()),
-        f"{law_tables(system)}static const ModelLaws model_laws = {{{members}}};\n",
+        f"{law_tables(system, functions)}static const ModelLaws model_laws = MODEL_LAWS;\n",
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae, Variable
-from casadi_models.dae.expressions import at_irregular_place
+from casadi_models.dae.expressions import at_irregular_place, column
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
@@ -126,7 +126,7 @@ def landmarks(dae: Dae) -> Landmarks:
         else:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
-    arguments = ca.densify(ca.vertcat(SX(0, 1), *rows))
+    arguments = column(rows)
     followed = [v.name for v in _depends(dae, arguments)]
     every = np.unique(np.concatenate(times))
     return Landmarks(

@@ -287,7 +287,8 @@ class StartPose:
 
     Attributes:
         poses: Its bodies in one frame, without loads and paths.
-        frames: (name, origin (3,), rotation matrix (3, 3)) of each body that moves and has a shape.
+        frames: (name, origin (3,), rotation matrix (3, 3)) of each body that turns and has a shape;
+            not of parts of bodies.
         signs: Positive directions of loads and angles.
     """
 
@@ -320,7 +321,9 @@ def start_pose(dae: Dae) -> StartPose | None:
     frames = tuple(
         (body.name, poses.places[0, i], turned[i])
         for i, body in enumerate(drawing.bodies)
-        if ca.symvar(body.rotation) and any(solid.body == i for solid in poses.solids)
+        if ca.symvar(body.rotation)
+        and any(solid.body == i for solid in poses.solids)
+        and "/" not in body.name
     )
     return StartPose(poses, frames, merged)
 

@@ -50,9 +50,10 @@ class Target:
         if not self.triple:
             return None
         if find_spec("ziglang") is None:
+            extra = "live" if self.system == "wasi" else "zig"
             raise MissingTool(
                 f"compiling for {self.processor}-{self.system} needs the compiler in ziglang; "
-                'bring it with: pip install "cosim-rigid[zig]"'
+                f'bring it with: pip install "cosim-rigid[{extra}]"'
             )
         return (sys.executable, "-P", "-m", "ziglang", "cc", "-target", self.triple)
 

@@ -70,11 +70,9 @@ def variational_rhs(dae: Dae) -> ca.Function:
     ode_by, alg_by = dict(zip(CALL, by[:5], strict=True)), dict(zip(CALL, by[5:], strict=True))
     none = MX(nx, nx)
     rates = ode_by["x"] @ slopes + ca.horzcat(none, ode_by["p"], ode_by["u"])
-    dz = MX(0, nq)
-    if nz:
-        direct = ca.horzcat(MX(nz, nx), alg_by["p"], alg_by["u"])
-        dz = -linear_solution(alg_by["z"], alg_by["x"] @ slopes + direct)
-        rates += ode_by["z"] @ dz
+    direct = ca.horzcat(MX(nz, nx), alg_by["p"], alg_by["u"])
+    dz = -linear_solution(alg_by["z"], alg_by["x"] @ slopes + direct)
+    rates += ode_by["z"] @ dz
     stacked = [ca.vertcat(ode, ca.vec(rates)), ca.vertcat(z, ca.vec(dz))]
     dense = [ca.densify(column) for column in stacked]
     return ca.Function("rhs", [t, every, guess, u, p], dense)

@@ -13,6 +13,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import column
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.time_bounds import limit_enclosures
 from cosim.arrays import Truths, Vector
@@ -63,7 +64,7 @@ def _watched(dae: Dae) -> _Watched | None:
     moving = ca.vertcat(dae.x, dae.u)
     depends = ca.which_depends(margins, moving, 1, False) if moving.numel() else []
     moved = tuple(i for i, own in enumerate(depends) if own)
-    x = ca.densify(ca.vertcat(SX(0, 1), *(moving[i] for i in moved)))
+    x = column(moving[i] for i in moved)
     variables = tuple((*dae.states, *dae.inputs)[i] for i in moved)
     none = SX(0, 1)
     plain = Dae(

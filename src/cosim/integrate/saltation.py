@@ -34,8 +34,7 @@ _SAME = 1e-6  # relative difference of derivatives up to which the order of even
 def _along(system: Hybrid) -> Evaluator:
     """Return `along(t, x, z, u, p, dt) -> changes` of relations' arguments and events' values."""
     dt = SX.sym("dt")
-    values = ca.vertcat(SX(0, 1), *(event.values for event in system.events))
-    results = [system.along(rows, dt) for rows in (system.arguments, values)]
+    results = [system.along(rows, dt) for rows in (system.arguments, system.rules[1])]
     return Evaluator(ca.Function("along", [*system.dae.arguments, dt], results))
 
 

@@ -192,7 +192,7 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str,
     """
     dae = _with_parameters(dae, constants)
     known = [variable.name for variable in dae.inputs]
-    rows = ca.vertsplit(dae.u) if known else []
+    rows = ca.vertsplit(dae.u)
     for name, law in laws:
         UnknownName.reject(dae.full_name, "input", known, name)
         place = known.index(name)

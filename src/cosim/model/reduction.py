@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Invariant, Variable
 from casadi_models.dae.events import Event
+from casadi_models.dae.expressions import symbols
 from cosim.errors import UnknownName, UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.values import A_DAE, listed
@@ -250,9 +251,7 @@ def _remaining_event(event: Event, states: Sequence[int]) -> Event:
 
 
 def _computable(small: Dae, expression: SX) -> bool:
-    symbols = ca.symvar(ca.vertcat(small.t, small.x, small.z, small.u, small.p))
-    known = {symbol.element_hash() for symbol in symbols}
-    return all(symbol.element_hash() in known for symbol in ca.symvar(expression))
+    return symbols(expression).keys() <= symbols(ca.vertcat(*small.arguments)).keys()
 
 
 def _remaining_invariants(

@@ -222,14 +222,14 @@ def draw_residuals(*compared: Sequence[Trajectory]) -> Figure:
             _name_invalid(figure, [axis for axis in rows if axis.axison], [one[1]], [one[1].model])
             if len(compared) > 1:
                 rows[0].set_title(fill(f"record {place + 1}: {one[2].model}", 40), fontsize=9)
-        residuals, run, other = compared[0]
+        _, run, other = compared[0]
         second = other.model if len(compared) == 1 else "measured"
         next(axis for axis in grid[:, 0] if axis.axison).legend(labels=[run.model, second])
         for row in grid:
             for axis in [axis for axis in row if axis.axison][1:]:
                 axis.set_ylabel("")  # the first one names the variable of the row
-        title = residuals.model if len(compared) == 1 else f"{len(compared)} records, {run.model}"
-        figure.suptitle(fill(title, 70), fontsize=11)
+        what = other.model if len(compared) == 1 else f"{len(compared)} records"
+        figure.suptitle(fill(f"{run.model} and {what}", 70), fontsize=11)
     return figure
 
 

@@ -6,6 +6,7 @@ import platform
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
@@ -23,18 +24,21 @@ from casadi_models.units import convert
 from cosim.drawing.diagram import diagram
 from cosim.drawing.picture import draw_pose
 from cosim.drawing.pose import start_pose
-from cosim.errors import MissingTool
+from cosim.errors import CosimError, MissingTool
 from cosim.model.reduction import size
 from cosim.model.values import plain_values
 from cosim.plotting import picture
 from cosim.present.figures import draw_figures
-from cosim.present.formulas import formulas
+from cosim.present.formulas import MOST_FORMULAS, formulas, linear_formulas
 from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
+from cosim.study.linearize.linearization import Linearization
+from cosim.study.linearize.point import linearized
 from cosim.text import html_table
 from cosim.trajectory import Trajectory
 
+_FEW = 20  # lines that are not folded
 _CSS = "\n" + Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 
 
@@ -87,13 +91,15 @@ def _validity(run: Trajectory) -> str:
 
 def _system(c: ReportContents) -> Iterable[str]:
     yield "<h2>The system</h2>"
-    facts = {"model": c.dae.full_name, "what": c.dae.description, "source": c.dae.source}
+    facts = {"model": c.dae.full_name, "source": c.dae.source}
+    if c.scene.title:
+        facts["description"] = c.dae.description
     counts = size(c.dae)
     facts["equations"] = (
         f"{counts.states} differential, {counts.algebraics} algebraic; {counts.operations} scalar "
         f"operations with {counts.outputs} outputs"
     )
-    facts["states, in their order"] = ", ".join(v.name for v in c.dae.states)
+    facts["states"] = ", ".join(v.name for v in c.dae.states)
     if c.dae.algebraics:
         facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
     yield _facts_table(facts)
@@ -101,12 +107,8 @@ def _system(c: ReportContents) -> Iterable[str]:
         content = b64encode(diagram(pose)).decode()
         yield f'<img alt="frames and positive directions" src="data:image/png;base64,{content}"/>'
     if c.dae.full_name in casadi_models.CATALOG:
-        paragraphs = (import_module(f"casadi_models.{c.dae.name}").__doc__ or "").split("\n\n")
-        yield from (f"<p>{html.escape(text)}</p>" for text in paragraphs if text[:1].strip())
-    if lines := formulas(c.dae):
-        yield "<p>Equations (c<sub>i</sub>: what occurs more than once):</p><div class='formulas'>"
-        yield from lines
-        yield "</div>"
+        yield from _paragraphs(import_module(f"casadi_models.{c.dae.name}").__doc__ or "")
+    yield from _equations(c)
     if c.dae.limits:
         yield "<p>The model is valid while</p><ul>"
         yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
@@ -115,6 +117,53 @@ def _system(c: ReportContents) -> Iterable[str]:
         yield "<p>Reduced to the outputs of the scene:</p><ul>"
         yield from (f"<li>{html.escape(line)}</li>" for line in c.dae.report)
         yield "</ul>"
+
+
+def _paragraphs(docstring: str) -> Iterable[str]:
+    """Yield the text of a system's module; a list and fields, `NAME  text`, line by line."""
+    for paragraph in docstring.split("\n\n"):
+        if paragraph.startswith("   "):
+            continue  # a sketch in letters: the diagram shows it
+        for item in re.split(r"\n(?=(?:  )?\w+  )", paragraph):
+            if field := re.fullmatch(r"\s*(\w+)  +(.+)", item, re.DOTALL):
+                yield f"<p><b>{html.escape(field[1])}</b>: {html.escape(field[2])}</p>"
+            else:
+                yield f"<p>{html.escape(item)}</p>"
+
+
+def _equations(c: ReportContents) -> Iterable[str]:
+    """Yield the equations, and the linear ones of those that are too large to be printed."""
+    found = formulas(c.dae)
+    linear = _linear_system(c) if 0 < len(found.large) <= MOST_FORMULAS else None
+    yield "<h3>Equations</h3>"
+    yield _block(found.equations)
+    if found.outputs:
+        yield "<h3>Outputs and validity conditions</h3>"
+        yield _block(found.outputs)
+    if linear:
+        point = html.escape(linear.point)
+        yield "<h3>Linear equations</h3>"
+        yield f"<p>Near {point}. Δ is the deviation from there; all numbers are in SI units.</p>"
+        yield _block(linear_formulas(c.dae, linear, found.large))
+    if found.named:
+        opened = " open" if len(found.named) <= _FEW else ""
+        yield f"<details{opened}><summary>Parts c<sub>i</sub> of the formulas</summary>"
+        yield f"{_block(found.named)}</details>"
+
+
+def _block(lines: Iterable[str]) -> str:
+    return f"<div class='formulas'>{''.join(lines)}</div>"
+
+
+def _linear_system(c: ReportContents) -> Linearization | None:
+    """Return the linear system at an equilibrium near the start, else at the start."""
+    names = {variable.name for variable in c.dae.variables}
+    values = {name: value for name, value in c.scene.request.values.items() if name in names}
+    for point in ("equilibrium", "start"):
+        with suppress(CosimError):
+            linear = linearized(c.dae, at=point, start_values=values)
+            return None if linear.period else linear
+    return None
 
 
 def _bodies(c: ReportContents) -> Iterable[str]:
@@ -154,6 +203,8 @@ def _parameter_row(
     calculated = variable.start_kind is Start.CALCULATED
     if calculated and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
+        if abs(value) <= 1e-12 * variable.nominal:
+            value = 0.0  # rounding of the calculation
     shown = variable.display_unit or variable.unit
     return {
         "name": variable.name,
@@ -234,7 +285,7 @@ def _origin_section(c: ReportContents) -> Iterable[str]:
     facts = {
         "command": c.command,
         "solver": f"{stats.get('solver', '')}, {stats.get('steps', '?')} steps",
-        "compiled": stats.get("compiled", ""),
+        "compiled": "yes" if stats.get("compiled") else "no",
         "result (SHA-256)": hashlib.sha256(table.tobytes()).hexdigest(),
         "versions": ", ".join(
             f"{name} {version(name)}" for name in ("cosim-rigid", "casadi", "fmpy", "numpy")

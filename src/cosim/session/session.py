@@ -245,7 +245,7 @@ class Session:
             ParameterError: A time is not finite, or before the present one.
             UsageError: None or both of the arguments are given.
             FmuError: The model failed, ended the run before, or is closed. After a failure,
-                `restore` and `reset` lead on.
+                only `restore` and `reset` are possible.
         """
         if self._phase is not _Phase.RUNNING:
             self._require()

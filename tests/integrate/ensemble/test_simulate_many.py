@@ -329,7 +329,7 @@ def test_many_runs_print_as_a_summary_with_the_first_reason():
     many = cosim.simulate_many(cosim.load("bicycle"), speeds, outputs=["phi"], stop_time=2)
     lines = repr(many).splitlines()
     assert lines[0] == "bicycle/independent: 3 runs, 201 times from 0 to 2 s, 3 complete"
-    assert lines[2].split() == ["thetaR_dot", "(varied)", "SI", "-15", "-5"]
+    assert lines[2].split() == ["thetaR_dot", "(varied)", "rad/s", "-15", "-5"]
     assert lines[3].startswith("phi")
     assert lines[4].startswith("1 with a reason, the first one: run 0: invalid from 0.771 s: the")
     assert len(lines) == 5

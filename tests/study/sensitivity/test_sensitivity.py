@@ -38,6 +38,14 @@ def test_derivative_of_the_crank_angle_by_alpha_is_half_the_square_of_time(formu
     assert found.check.scaled < 1e-9
 
 
+def test_parameter_that_is_named_twice_has_one_derivative():
+    dae = cosim.load("crank_shaft")
+    names = ["alpha", "omega", "alpha"]
+    found = sensitivity(dae, outputs=["phi"], with_respect_to=names, check=False, **SHORT)
+    assert [target.name for target in found.targets] == ["alpha", "omega"]
+    np.testing.assert_allclose(found.values[-1], [[0.5, 1.0]], rtol=1e-12)  # of t^2 / 2 and t
+
+
 @pytest.mark.slow_rows("False-erk", "False-rosenbrock", "True-rosenbrock")
 @pytest.mark.parametrize(
     ("algebraic", "solver"),

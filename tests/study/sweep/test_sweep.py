@@ -424,7 +424,18 @@ def test_a_script_without_guard_uses_processes_and_loses_only_its_deadly_run(tmp
 
 @pytest.mark.slow
 def test_sweep_prints_as_a_summary():
-    found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, stop_time=0.1, workers=0)
+    keep = ["max(T)", "first(phi, 1)", lambda run: {"turns": 2.0}]
+    found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=keep, stop_time=0.1, workers=0)
     head, _, *rows = repr(found).splitlines()
     assert head == "crank_shaft/driven: 2 runs, 2 complete"
-    assert rows[0].split() == ["omega", "(varied)", "SI", "40", "50"]
+    assert rows[0].split() == ["omega", "(varied)", "rad/s", "40", "50"]
+    assert rows[1].split()[:2] == ["T_max", "N.m"]
+    assert rows[2].split()[:2] == ["phi_first_1", "s"]
+    assert rows[3].split() == ["turns", "2", "2"]
+    stored = found.to_xarray()
+    assert [stored[name].units for name in ("omega", "T_max", "phi_first_1")] == [
+        "rad/s",
+        "N.m",
+        "s",
+    ]
+    assert "units" not in stored["turns"].attrs

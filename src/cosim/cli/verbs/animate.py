@@ -7,7 +7,7 @@ from dataclasses import replace
 from casadi_models.dae import Dae
 from cosim.cli.arguments import names_in, numbers_in, start_numbers
 from cosim.cli.runs import runs_of, scene_or_none, single, size_of
-from cosim.cli.tables import note
+from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
 from cosim.model.catalogue import load
 from cosim.model.driving import with_tables
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         size=size,
         dpi=args.dpi,
     )
-    note(args, path)
+    report_files(args, path)
     return code
 
 

@@ -1,10 +1,9 @@
 """`cosim new FILE.py|FILE.toml`: a model file, or a copy of a shipped scene, to start from."""
 
 import argparse
-import sys
 from pathlib import Path
 
-from cosim.cli.tables import write_text
+from cosim.cli.tables import note, report_files, write_text
 from cosim.errors import UnknownName, UsageError
 from cosim.scene import shipped_scenes
 
@@ -27,8 +26,10 @@ def run(args: argparse.Namespace) -> int:
     if not printed and path.exists():
         raise UsageError(f"cosim new: {path} exists; give another name")
     write_text(None if printed else str(path), text)
-    if not printed and not args.quiet:
-        print(f"{path}; run it with: cosim simulate {subject}", file=sys.stderr)
+    if args.json and not printed:
+        report_files(args, path)
+    elif not printed:
+        note(args, f"{path}; run it with: cosim simulate {subject}")
     return 0
 
 

@@ -1,14 +1,13 @@
 """`cosim plot MODEL|SCENE.toml|FILE.fmu|RESULT.csv ...`: runs as curves, and differences."""
 
 import argparse
-import json
 
 from matplotlib.figure import Figure
 
 from cosim.cli.arguments import names_in
 from cosim.cli.measured import read_measured
 from cosim.cli.runs import runs_of, size_of
-from cosim.cli.tables import note
+from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
 from cosim.plotting import picture_format, require_screen, save, show
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
@@ -40,11 +39,8 @@ def run(args: argparse.Namespace) -> int:
         show(figures)
         return code
     paths = save(figures, args.output_file, args.dpi)
-    if args.json:
-        facts = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
-        print(json.dumps({"files": [str(path) for path in paths], **facts}))
-    else:
-        note(args, *paths)
+    facts = {"model": runs[0].model, "status": runs[0].status} if len(runs) == 1 else {}
+    report_files(args, *paths, **facts)
     return code
 
 

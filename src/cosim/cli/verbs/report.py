@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.cli.runs import run_or_partial, scene_or_none
-from cosim.cli.tables import note
+from cosim.cli.tables import note, report_files
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.present.report import ReportContents, report
@@ -38,7 +38,14 @@ def run(args: argparse.Namespace) -> int:
             note(args, f"{row['model']}: {row['backend']} {check.verdict}")
     words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
                                                                args.output_file]  # fmt: skip
-    dae, command = request.reduced().configured(), shlex.join(["cosim", *words])
+    dae, command = request.reduced().configured(), shlex.join(["cosim", *map(_portable, words)])
     page = report(ReportContents(scene, dae, result, shown, checks, command))
-    print(write_atomically(args.output_file, page.encode()), file=sys.stderr)
+    path = write_atomically(args.output_file, page.encode())
+    report_files(args, path, model=result.model, status=result.status)
     return code
+
+
+def _portable(word: str) -> str:
+    """Return a word of the command; of an absolute path, which another computer lacks, the name."""
+    option, sign, value = word.rpartition("=")
+    return f"{option}{sign}{Path(value).name}" if Path(value).is_absolute() else word

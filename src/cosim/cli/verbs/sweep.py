@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from cosim.cli.arguments import TIMES, assigned, names_in, numbers_in, options_in, spaced, value_in
-from cosim.cli.tables import note, write_text
+from cosim.cli.tables import note, show_table, write_text
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.fmi.trust import require_trust
 from cosim.host.optional_packages import optional_module
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.sweep.samples import Samples, chosen_samples
@@ -30,6 +31,8 @@ _AXIS_FORMS = "A,B,C or A:B:N or A"
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep and write its table of runs."""
+    if args.model.endswith(".fmu"):
+        require_trust(args.model, trusted=args.trust)
     subject = open_subject(args.model)
     result = sweep(
         subject,
@@ -39,8 +42,10 @@ def run(args: argparse.Namespace) -> int:
         output_times=None if args.times is None else numbers_in("--times", args.times),
         **options_in(args, *_OF_SWEEP, *_OF_RUNS),
     )
-    if args.output_file is not None or args.store is None:
+    if args.output_file is not None or (args.store is None and not args.json):
         write_text(args.output_file, result.csv_text())
+    if args.json:
+        show_table(result.rows(), as_json=True)
     note(args, f"{len(result)} runs: {result.status}")
     return 1 if args.strict and not result.complete.all() else 0
 

@@ -3,14 +3,13 @@
 import argparse
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from cosim.cli.arguments import names_in, numbers_in, options_in, scene_from, start_texts
 from cosim.cli.tables import show_table, write_text
 from cosim.coupling.files import is_system, read_system
 from cosim.coupling.system import System
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import UsageError
 from cosim.fmi.trust import is_made_here
 from cosim.study.tradeoff.configuration import Selection
 from cosim.study.tradeoff.measurement import COSTS
@@ -25,8 +24,6 @@ _RUN_COLUMNS = (
 
 def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
-    ending = Path(args.output_file).suffix if args.output_file else ".csv"
-    UnknownName.reject(args.output_file, "file format", (".csv", ".json"), ending)
     selection = _selection(args)
     co_simulated = is_system(args.model) and selection == Selection(steps=selection.steps)
     named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
@@ -46,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         **given,
     )
     if args.output_file:
-        text = study.to_csv() if args.output_file.endswith(".csv") else study.to_json()
+        text = study.to_json() if args.output_file.endswith(".json") else study.to_csv()
         write_text(args.output_file, text)
     if args.figure:
         from cosim.plotting import save

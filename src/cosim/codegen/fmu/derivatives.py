@@ -7,7 +7,7 @@ import casadi as ca
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
-from casadi_models.dae.expressions import linear_solution
+from casadi_models.dae.expressions import implicit_change, linear_solution
 from cosim.codegen.functions import derivative_along, is_large, jacobian_in_a_loop
 from cosim.codegen.initialization import knowns
 from cosim.memo import cached_per_thread
@@ -36,12 +36,8 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
     seeds = [SX.sym("seed", symbol.numel()) for symbol in known]
     seed_z = SX.sym("seed_z", dae.z.numel())
     variables, seed = ca.vertcat(*known), ca.vertcat(*seeds)
-    implicit = ca.Function(
-        "along",
-        [*call, *seeds],
-        [ca.jacobian(dae.balanced, dae.z), -ca.jtimes(dae.balanced, variables, seed)],
-        {"cse": True},
-    )
+    slopes, change = ca.jacobian(dae.balanced, dae.z), ca.jtimes(dae.balanced, variables, seed)
+    implicit = implicit_change([*call, *seeds], slopes, change)
     variables, seed = ca.vertcat(variables, dae.z), ca.vertcat(seed, seed_z)
     looped = is_large(dae) if in_a_loop is None else in_a_loop
     explicit = ca.Function(
@@ -51,8 +47,7 @@ def directional_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Funct
         {"cse": True},
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
-    matrix, right = implicit(*arguments)
-    sens_z = linear_solution(matrix, right) if dae.algebraics else MX(0, 1)
+    sens_z = implicit(*arguments)
     *sens_ode, sens_outputs = explicit.call([*arguments, sens_z])
     if looped:
         seed_x, seed_u, seed_p, seed_t = arguments[len(call) :]
@@ -83,8 +78,6 @@ def jacobian_function(dae: Dae, *, in_a_loop: bool | None = None) -> ca.Function
         blocks = [ca.jacobian(e, v) for e in (dae.ode, dae.balanced) for v in (known, dae.z)]
         written_out = ca.Function("blocks", call, blocks, {"cse": True})
         ode_known, ode_z, alg_known, alg_z = written_out(*arguments)
-    if not dae.algebraics:
-        return ca.Function("model_jacobian", arguments, [ca.densify(ode_known), MX(0, 1)])
     z_known = -linear_solution(alg_z, ca.densify(alg_known))
     total = ca.densify(ode_known + ode_z @ z_known)
     return ca.Function("model_jacobian", arguments, [total, z_known])
@@ -120,7 +113,7 @@ def adjoint_function(dae: Dae) -> ca.Function:
     )
     arguments = [argument_like(symbol) for symbol in (*call, *seeds)]
     matrix, right = implicit(*arguments)
-    solved = linear_solution(matrix, right, transposed=True) if dae.algebraics else MX(0, 1)
+    solved = linear_solution(matrix, right, transposed=True)
     return ca.Function("model_adjoint", arguments, list(gradients(*arguments, solved)))
 
 
@@ -134,11 +127,8 @@ def start_directional_function(dae: Dae) -> ca.Function:
     calculated = {row for rule in dae.start_rules for row in rule.states}
     rows = [MX(0) if i in calculated else seed for i, seed in enumerate(ca.vertsplit(seeds[0]))]
     for i, rule in enumerate(dae.start_rules):
-        solved = _rule_derivative(dae, rule, f"start_along_{i}")
-        moved = solved(*known, ca.vertcat(*rows), *seeds[1:])
-        if rule.implicit:
-            matrix, right = moved
-            moved = linear_solution(matrix, right)
+        change = _rule_derivative(dae, rule, f"start_along_{i}")
+        moved = change(*known, ca.vertcat(*rows), *seeds[1:])
         for row, value in zip(rule.states, ca.vertsplit(moved), strict=True):
             rows[row] = value
     every = ca.vertcat(MX(0, 1), *rows)
@@ -148,11 +138,12 @@ def start_directional_function(dae: Dae) -> ca.Function:
 def _rule_derivative(dae: Dae, rule: StartRule, name: str) -> ca.Function:
     variables = (dae.x, dae.u, dae.p, dae.t)
     seeds = [SX.sym("seed", symbol.numel()) for symbol in variables]
+    symbols = [*knowns(dae), *seeds]
     moved = ca.jtimes(rule.expression, ca.vertcat(*variables), ca.vertcat(*seeds))
-    results = [moved]
     if rule.implicit:
-        results = [ca.jacobian(rule.expression, dae.x)[:, list(rule.states)], -moved]
-    return ca.Function(name, [*knowns(dae), *seeds], results, {"cse": True})
+        slopes = ca.jacobian(rule.expression, dae.x)[:, list(rule.states)]
+        return implicit_change(symbols, slopes, moved)
+    return ca.Function(name, symbols, [moved], {"cse": True})
 
 
 def argument_like(symbol: SX) -> MX:

@@ -195,7 +195,7 @@ def _lane_bounds(dae: Dae, needed: Sequence[int]) -> _LaneBounds:
         ca.vertcat(ca.SX.zeros(dae.x.numel()), u) for u in (dae.u, dae.u, 0 * dae.u, 0 * dae.u)
     ]
     for span, own in zip(spans, given, strict=True):
-        for i, symbol in zip(needed, ca.vertsplit(own) if needed else [], strict=True):
+        for i, symbol in zip(needed, ca.vertsplit(own), strict=True):
             span[i] = symbol
     every = ca.vertcat(part.low, part.high)
     every = ca.substitute(every, ca.vertcat(*part.given[1:]), ca.vertcat(*spans))

@@ -81,7 +81,7 @@ static const char *const violations[] = {{
 
 static const int bounded_limits[] = {{{", ".join(map(str, bounded))}}};
 static const int moving_limits[] = {{{", ".join(map(str, moving))}}};
-{_event_tables(plan.system)}"""
+{_event_tables(plan)}"""
 
 
 def _event_sizes(system: Hybrid | None) -> str:
@@ -95,9 +95,9 @@ def _event_sizes(system: Hybrid | None) -> str:
     return "".join(f"#define {name} {size}\n" for name, size in sizes.items())
 
 
-def _event_tables(system: Hybrid | None) -> str:
+def _event_tables(plan: Plan) -> str:
     """Return the tables of relations, events and pulses for tables.h; empty without events."""
-    if system is None:
+    if (system := plan.system) is None:
         return ""
     times, known = fmu_pulses(system.dae), landmarks(system.dae)
     pulses = [*map(repr, times.tolist()), "0.0"]
@@ -109,7 +109,7 @@ def _event_tables(system: Hybrid | None) -> str:
     messages = [_literal(event.message) if event.message else "NULL" for event in system.events]
     texts = {"relation_names": names, "rule_names": rules, "rule_messages": messages}
     return f"""
-{law_tables(system)}
+{law_tables(system, plan.functions)}
 {"".join(_texts(name, own) for name, own in texts.items())}
 static const double pulses[] = {{{", ".join(pulses)}}};
 static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};

@@ -40,7 +40,7 @@ def formulas(dae: Dae) -> tuple[tuple[str, str], ...]:
         found.append((f"{names} at the start", right))
     every = [f"der({state.name})" for state in dae.states] + ["0"] * len(dae.algebraics)
     every += [output.name for output in dae.output_variables]
-    expressions = ca.vertsplit(ca.vertcat(dae.ode, dae.alg, dae.outputs)) if every else []
+    expressions = ca.vertsplit(ca.vertcat(dae.ode, dae.alg, dae.outputs))
     for left, expression in zip(every, expressions, strict=True):
         found.append((left, _text(expression, parameters)))
     return tuple(found)

@@ -121,6 +121,7 @@ class Ensemble:
             ...
         drawing: The drawing of the model; None if unknown.
         numbers: Parameters and constant inputs that were not varied, SI; None if unknown.
+        units: Units of the varied values, by name.
         notes: What a run differs in from the request, or may have missed, by position of the run.
         with_events: Runs with events, by position, with these and the row of one that ended them.
         again: Computes runs without events, given by their positions, at other times: values,
@@ -148,6 +149,7 @@ class Ensemble:
     stats: Mapping[str, Any] = field(default_factory=dict)
     drawing: Drawing | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
+    units: Mapping[str, str] = field(default_factory=dict)
     notes: Mapping[int, str] = field(default_factory=dict)
     with_events: Mapping[int, Trajectory] = field(default_factory=dict, repr=False)
     again: Callable[[Vector, Integers], Vector] | None = field(default=None, repr=False)
@@ -281,7 +283,7 @@ class Ensemble:
 
     def summary(self) -> Table:
         """Return the smallest and largest value of each quantity, of the rows of all runs."""
-        rows = varied_rows(self.start_values)
+        rows = varied_rows(self.start_values, self.units)
         for column, own in zip(self.columns, np.moveaxis(self.values, 2, 0), strict=True):
             rows.append(range_row(column.name, column.shown_unit, column.shown(own)))
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
@@ -314,7 +316,11 @@ class Ensemble:
         variables["status"] = ("run", np.array([str(state) for state in self.states]))
         variables["reason"] = ("run", np.array([self.reason(i) for i in range(len(self))]))
         given = {
-            f"{name}_start" if name in variables else name: ("run", values)
+            f"{name}_start" if name in variables else name: (
+                "run",
+                values,
+                unit_fact(self.units, name),
+            )
             for name, values in self.start_values.items()
         }
         coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
@@ -328,9 +334,17 @@ def _some_again(
     return again(times, some[runs])
 
 
-def varied_rows(varied: Mapping[str, Vector]) -> list[dict[str, Any]]:
-    """Return the range of each varied quantity, SI, as rows of a table."""
-    return [range_row(f"{name} (varied)", "SI", values) for name, values in varied.items()]
+def varied_rows(varied: Mapping[str, Vector], units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return the range of each varied quantity, in these units, as rows of a table."""
+    return [
+        range_row(f"{name} (varied)", units.get(name, ""), values)
+        for name, values in varied.items()
+    ]
+
+
+def unit_fact(units: Mapping[str, str], name: str) -> dict[str, str]:
+    """Return the unit of a quantity as the attribute of an array, if it has one."""
+    return {"units": units[name]} if units.get(name) else {}
 
 
 def range_row(name: str, unit: str, values: Vector) -> dict[str, Any]:

@@ -38,7 +38,7 @@ from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
-from cosim.model.values import MOST_COUNT, assign, numbers_of, whole
+from cosim.model.values import MOST_COUNT, assign, numbers_of, settable_variable, whole
 from cosim.trajectory import Column, Trajectory
 
 _MOST_LANES = 64
@@ -122,6 +122,7 @@ def simulate_many(
         stats=stats | {"wall_time": perf_counter() - began},
         drawing=request.dae.drawing,
         numbers=numbers_of(request.dae, assign(request.dae)),
+        units={name: settable_variable(request.dae, name).unit for name in values.given},
     )
     if ensemble.interrupted:
         done = int(ensemble.complete.sum())

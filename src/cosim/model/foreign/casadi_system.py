@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 from casadi import DM, MX, SX
 
+from casadi_models.dae.expressions import symbols
 from cosim.errors import UnknownName, UsageError
 from cosim.model.foreign.named_symbols import Symbol, named_apart, named_symbols, reject_duplicates
 
@@ -348,12 +349,12 @@ def evaluated(
         laws = [e if isinstance(e, MX) else _as_mx(who, e) for e in expressions.values()]
         function = scalar_graph(who, columns, laws, list(expressions))
     else:
-        known = {s.element_hash() for s in ca.symvar(ca.veccat(SX(0, 1), *columns))}
+        known = symbols(ca.veccat(SX(0, 1), *columns))
         for name, expression in expressions.items():
             if isinstance(expression, MX):
                 raise UsageError(f"{who}: {name} is MX, the symbols are SX; use one of them")
-            others = (s for s in ca.symvar(SX(expression)) if s.element_hash() not in known)
-            _reject_strangers(who, name, [symbol.name() for symbol in others])
+            own = symbols(SX(expression))
+            _reject_strangers(who, name, [own[key] for key in own if key not in known])
         function = ca.Function("f", columns, [SX(e) for e in expressions.values()])
         reject_calls(who, function)
     return dict(zip(expressions, function.call(arguments, True, False), strict=True))

@@ -24,8 +24,9 @@ def from_dae_builder(builder: ca.DaeBuilder) -> Dae:
     Parameters of every variability and integer ones are parameters, constants are numbers,
     quadratures are states, dependent variables are outputs, `set_init` gives calculated starts, and
     the rate of a state that only equations determine is an algebraic unknown. Start values, units,
-    display units, bounds, nominal values and descriptions come along; a variable without unit is a
-    number, an unknown unit counts with factor 1, one without description is described by its name.
+    display units, bounds, nominal values and descriptions are those of the builder; a variable
+    without unit is a number, an unknown unit has the factor 1, and the default of a description is
+    the name.
     `body.x` and `v[1]` are called `body_x` and `v_1`.
 
     Raises:

@@ -205,18 +205,18 @@ def from_casadi(
 
     Args:
         system: A mapping of `x`, `ode`, and where needed `t`, `z`, `u`, `p`, `alg`, `quad`, `zero`
-            to SX or MX (a list of symbols counts as their column), with `zero` also the Function
-            `transition` of `casadi.integrator`; a `casadi.Function` from inputs to
-            outputs of these names, other outputs being outputs; the path of a saved Function
-            (.casadi); or what `casadi.dae_reduce_index` returns. A quadrature becomes a state.
-        start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters,
-            initial guesses of z; of states expressions of parameters, inputs and time, too. Where
-            nothing is said, a Function's own `default_in`, or 0, except for parameters, which need
-            a value.
+            to SX or MX (a list of symbols is their column), with `zero` also the Function
+            `transition` of `casadi.integrator`; a `casadi.Function` with inputs and outputs of
+            these names, whose other outputs become outputs of the model; the path of a saved
+            Function (.casadi); or the result of `casadi.dae_reduce_index`. A quadrature becomes a
+            state.
+        start_values: Numbers (for a vector: as many, or one for all) of states, inputs, parameters
+            and initial guesses of z; of states also expressions of parameters, inputs and time.
+            The default is a Function's own `default_in`, or 0; parameters need a value.
         outputs: Expressions by name.
         name, description: Of the model.
-        units, meanings, nominals: "1", the name, and 1 where nothing is said. A unit that is
-            unknown here counts with factor 1, and the meaning says so.
+        units, meanings, nominals: By name; "1", the name, and 1 by default. An unknown unit has
+            the factor 1, which the meaning states.
         stop_time, output_interval: Of the run that the model is shown with, s.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Playback as one HTML file: bodies in three dimensions, curves, and, if asked for, the solver.
+"""Playback as one HTML file: bodies in three dimensions, curves, and, if requested, the solver.
 
 The viewer is three.js as the package meshcat ships it, the curves are those of uPlot.
 """
@@ -64,7 +64,7 @@ def page(
     Raises:
         MissingTool: meshcat or uplot-python is not installed.
     """
-    three, plots, style = _packages()
+    three, plots, style = _packages("live" if live else "animate")
     own = files("cosim.present.playback") / "page"
     scripts = [three, plots, *((own / name).read_text(encoding="utf-8") for name in _SCRIPTS)]
     facts = _facts(played, runs, scale_of(played, follow), view)
@@ -90,8 +90,8 @@ def page(
     return text
 
 
-def _packages() -> list[str]:
-    """Return three.js, uPlot and its style."""
+def _packages(extra: str) -> list[str]:
+    """Return three.js, uPlot and its style; the extra brings their packages."""
     texts = []
     for package, names in _PACKAGES.items():
         found = find_spec(package)
@@ -101,7 +101,7 @@ def _packages() -> list[str]:
             if not path.is_file():
                 raise MissingTool(
                     f"the {package} that pages need is not installed; "
-                    'bring it with: pip install "cosim-rigid[animate]"'
+                    f'bring it with: pip install "cosim-rigid[{extra}]"'
                 )
             texts.append(path.read_text(encoding="utf-8"))
     return texts

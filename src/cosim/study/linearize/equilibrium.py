@@ -83,10 +83,11 @@ class _Search:
                 if not moved.size or moved.max() == 0:
                     return x, f"its initial state, {_article(self.kind)}"
                 most = movable[int(moved.argmax())]
-                name, unit = dae.states[most].name, dae.states[most].unit
+                name, unit = dae.states[most].name, f" {dae.states[most].unit}".removesuffix(" 1")
+                steps = f"{step} step{'s' * (step != 1)}"
                 return x, (
-                    f"{_article(self.kind)}, {step} steps of Newton's method from the initial "
-                    f"state ({name} = {x[most]:.6g} {unit} instead of {start[most]:.6g})"
+                    f"{_article(self.kind)}, {steps} of Newton's method from the initial "
+                    f"state ({name} = {x[most]:.6g}{unit} instead of {start[most]:.6g})"
                 )
             change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
             for _ in range(30):

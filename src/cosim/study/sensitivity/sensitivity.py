@@ -181,24 +181,11 @@ def sensitivity(
     names = [v.name for v in dae.states]
     if outputs is not None:
         names = [*listed("sensitivity: outputs", outputs)]
-    by = [v.name for v in dae.parameters]
+    chosen = [v.name for v in dae.parameters]
     if with_respect_to is not None:
-        by = [*listed("sensitivity: with_respect_to", with_respect_to)]
-    ways = {way.variable.name: way for way in dae.start_outputs if way.variable.name in by}
-    if ways:
-        by_states = sensitivity(
-            dae,
-            outputs=outputs,
-            with_respect_to=[*dict.fromkeys(_state_of(dae, ways, name) for name in by)],
-            start_values=start_values,
-            inputs=inputs,
-            solver=solver,
-            relative_tolerance=relative_tolerance,
-            check=check,
-            bound=bound,
-            **times,
-        )
-        return _through_outputs(dae, by_states, by, ways, values)
+        chosen = [*dict.fromkeys(listed("sensitivity: with_respect_to", with_respect_to))]
+    ways = {way.variable.name: way for way in dae.start_outputs if way.variable.name in chosen}
+    by = [*dict.fromkeys(_state_of(dae, ways, name) for name in chosen)]
     whole = [_target(dae, name, inputs) for name in by]
     small = _reduced(dae, tuple(names))
     numbers = {"state": values.x, "parameter": values.p, "input": values.u}
@@ -213,40 +200,20 @@ def sensitivity(
         outputs=names,
         **times,
     )
-    task = _Task(request, solver)
+    task = _Task(request, solver, relative_tolerance)
     targets = [own for name in by if (own := SensitivityTarget.of(small, name)) is not None]
-    plain, found = task.forward(targets, relative_tolerance)
+    plain, found = task.forward(targets)
     columns = tuple(
         Column(t.variable.name, t.variable.unit, None, t.size, t.variable.meaning) for t in whole
     )
     rows = [by.index(target.variable.name) for target in targets]  # others have no influence
-    table, second = np.zeros((2, len(plain), len(names), len(by)))
+    table = np.zeros((len(plain), len(names), len(by)))
     table[:, :, rows] = found
     result = Sensitivity(plain, columns, table)
-    if not check or not targets:
-        return result
-    moved = differences(task.changed, targets, [at[row] for row in rows])[: len(plain)]
-    second[: len(moved), :, rows] = moved
-    method = f"finite differences of {solver} at {CHECK_TOLERANCE:g}"
-    compared = task.between_events(plain.time) & (np.arange(len(plain)) < len(moved))
-    if 2 * compared.sum() < len(compared):
-        raise SolverError(
-            f"{dae.full_name}: finite differences check the derivatives at {compared.sum()} of "
-            f"{len(compared)} times only, as a small change of a value leads to other events; "
-            "shorten the run, or leave the check out (check=False)",
-            plain,
-        )
-    agreement = _agreement(result, second, method, bound, compared)
-    if not agreement.scaled <= bound:
-        raise SolverError(
-            f"{dae.full_name}: two methods disagree on a derivative: d {agreement.output} / d "
-            f"{agreement.with_respect_to} at {agreement.time:g} s is {agreement.first:.9g} by "
-            f"{solver} at {relative_tolerance:g}, {agreement.second:.9g} by {agreement.method}; "
-            f"the scaled difference is {agreement.scaled:.1e} (bound {bound:g}); tighten "
-            "relative_tolerance, or shorten the run",
-            plain,
-        )
-    return Sensitivity(plain, columns, table, agreement)
+    if check and targets:
+        agreement = task.agreement(result, targets, [at[row] for row in rows], bound)
+        result = Sensitivity(plain, columns, table, agreement)
+    return _through_outputs(dae, result, chosen, ways, values) if ways else result
 
 
 def _state_of(dae: Dae, ways: Mapping[str, StartThrough], name: str) -> str:
@@ -313,10 +280,14 @@ def _target(dae: Dae, name: str, inputs: InputSeries | None) -> SensitivityTarge
 
 @dataclass(frozen=True)
 class _Task:
-    """A request without a solver, the name of its solver, and times of events of changed runs."""
+    """A request without a solver, its solver's name and relative tolerance.
+
+    `events` are the times of the events of changed runs.
+    """
 
     request: RunRequest
     solver: str
+    tolerance: float
     events: list[Vector] = field(default_factory=list)
 
     def at(self, tolerance: float) -> RunRequest:
@@ -324,13 +295,11 @@ class _Task:
         solver = requested_solver(self.request.dae, self.solver, tolerance)
         return replace(self.request, solver=solver)
 
-    def forward(
-        self, targets: Sequence[SensitivityTarget], tolerance: float
-    ) -> tuple[Trajectory, Vector]:
+    def forward(self, targets: Sequence[SensitivityTarget]) -> tuple[Trajectory, Vector]:
         """Return the outputs and their derivatives, (n, ny, targets)."""
         dae, names = self.request.dae, self.request.outputs or ()
         if not targets:
-            found = run(self.at(tolerance))
+            found = run(self.at(self.tolerance))
             return found, np.zeros((len(found), len(names), 0))
         begin, values = self.request.times.start, self.request.numbers
         u = input_values(dae, np.array([begin]), values, self.request.inputs)[:, 0]
@@ -345,7 +314,9 @@ class _Task:
                 row[j] = sizes[j]
                 rows[direction(target.variable.name)] = row
         outputs = (*names, *map(derivative, names))
-        with_slopes = replace(self.at(tolerance), dae=_variational(dae), outputs=outputs, values={})
+        with_slopes = replace(
+            self.at(self.tolerance), dae=_variational(dae), outputs=outputs, values={}
+        )
         many = self._runs(with_slopes, rows)
         n, plain = int(many.reached.min()), many.run(0).select(names)  # a stop may have ended it
         plain = replace(plain, time=plain.time[:n], values=plain.values[:n])
@@ -374,6 +345,49 @@ class _Task:
         runs = (many.run(i) for i in range(len(changes)))
         self.events.extend(np.array([event.time for event in run.events]) for run in runs)
         return many.values[:, : many.reached.min()]
+
+    def agreement(
+        self,
+        result: Sensitivity,
+        targets: Sequence[SensitivityTarget],
+        at: Sequence[float],
+        bound: float,
+    ) -> Agreement:
+        """Return how well finite differences agree with a result.
+
+        Args:
+            result: The derivatives; they are 0 with respect to all but `targets`.
+            targets, at: What the outputs depend on, and its values in this run, SI.
+            bound: Largest scaled difference that counts as agreement (1).
+
+        Raises:
+            SolverError: They disagree, or can be compared at less than half of the times.
+        """
+        plain, model = result.run, self.request.dae.full_name
+        names = [column.name for column in result.targets]
+        moved = differences(self.changed, targets, at)[: len(plain)]
+        second = np.zeros(result.values.shape)
+        second[: len(moved), :, [names.index(target.variable.name) for target in targets]] = moved
+        compared = self.between_events(plain.time) & (np.arange(len(plain)) < len(moved))
+        if 2 * compared.sum() < len(compared):
+            raise SolverError(
+                f"{model}: finite differences check the derivatives at {compared.sum()} of "
+                f"{len(compared)} times only, as a small change of a value leads to other events; "
+                "shorten the run, or leave the check out (check=False)",
+                plain,
+            )
+        method = f"finite differences of {self.solver} at {CHECK_TOLERANCE:g}"
+        agreement = _agreement(result, second, method, bound, compared)
+        if not agreement.scaled <= bound:
+            raise SolverError(
+                f"{model}: two methods disagree on a derivative: d {agreement.output} / d "
+                f"{agreement.with_respect_to} at {agreement.time:g} s is {agreement.first:.9g} by "
+                f"{self.solver} at {self.tolerance:g}, {agreement.second:.9g} by {method}; the "
+                f"scaled difference is {agreement.scaled:.1e} (bound {bound:g}); tighten "
+                "relative_tolerance, or shorten the run",
+                plain,
+            )
+        return agreement
 
     def _runs(self, request: RunRequest, given: Mapping[str, Any]) -> Ensemble:
         found = simulate_many(request, given, on_invalid=OnInvalid.IGNORE)

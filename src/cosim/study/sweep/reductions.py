@@ -46,6 +46,10 @@ class Reduction:
         words = {"final": "final value", "rms": "root mean square over time"}
         return f"{words.get(self.kind, self.kind)} of {self.variable}"
 
+    def unit(self, of_variable: str) -> str:
+        """Return the unit of the number of a variable with this unit."""
+        return "s" if self.kind == "first" else of_variable
+
     @property
     def of_motion(self) -> bool:
         """Whether the number depends on what is between the output times."""

@@ -6,7 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from cosim.arrays import Vector
 from cosim.errors import ExportError, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.host.temporary import temporary_folder
+from cosim.integrate.ensemble.ensemble import unit_fact
 from cosim.study.sweep.block import NOT_COMPUTED, STATES, Block
 from cosim.study.sweep.folder import DIGEST_BYTES, MANIFEST, Folder, locked, writing
 from cosim.study.sweep.reductions import Keep, Moments, Statistics, merged
@@ -46,6 +47,7 @@ class Layout:
         keep: The results to store.
         block: Runs that are computed and written together.
         of_rows: Whether the numbers of each run are those of its output times alone.
+        units: Units of the varied values, by name.
     """
 
     manifest: Mapping[str, Any]
@@ -55,11 +57,18 @@ class Layout:
     keep: Keep
     block: int
     of_rows: bool = False
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def blocks(self) -> Iterator[tuple[int, int]]:
         """Yield first run and number of runs of each block."""
         for first in range(0, len(self.samples), self.block):
             yield first, min(self.block, len(self.samples) - first)
+
+    @property
+    def number_units(self) -> dict[str, str]:
+        """Units of the numbers of each run, by name; users' functions have none."""
+        units = {column.name: column.unit for column in self.columns}
+        return {r.name: r.unit(units[r.variable]) for r in self.keep.reductions}
 
     @property
     def varied(self) -> dict[str, str]:
@@ -244,14 +253,16 @@ class Store:
         flags = {"flag_values": list(range(len(STATES))), "flag_meanings": " ".join(STATES)}
         self._add("time", ("time",), layout.time, {"units": "s"})
         for name, column in layout.samples.columns.items():
-            self._add(layout.varied[name], run, column, {})
+            self._add(layout.varied[name], run, column, unit_fact(layout.units, name))
         self._add("status", run, np.int8(NOT_COMPUTED), flags)
         self._add("reason", run, "", {"long_name": "why a run is not complete"})
         self._add("steps", run, 0, {"long_name": "steps of the solver"})
         self._add("reached", run, 0, {"long_name": "valid output times"})
         for reduction in layout.keep.reductions:
             of_rows = " of the rows" if reduction.of_motion and layout.of_rows else ""
-            self._add(reduction.name, run, np.nan, {"long_name": reduction.meaning + of_rows})
+            facts = {"long_name": reduction.meaning + of_rows}
+            facts |= unit_fact(layout.number_units, reduction.name)
+            self._add(reduction.name, run, np.nan, facts)
         for output in layout.columns:
             if layout.keep.trajectories:
                 self._add(output.name, ("run", "time"), np.nan, output.facts)

@@ -97,6 +97,10 @@ class ModelSubject:
 
     def unit(self, name: str) -> str | None:
         """Return the unit of a quantity that can be varied."""
+        return self.own_unit(name)
+
+    def own_unit(self, name: str) -> str:
+        """Return the unit of the numbers of a quantity."""
         return settable_variable(self._request.dae, name).unit
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
@@ -176,6 +180,10 @@ class FmuSubject:
     def unit(self, name: str) -> str | None:
         """Return None: numbers are in the FMU's own units, and texts cannot have a unit."""
         return None
+
+    def own_unit(self, name: str) -> str:
+        """Return the unit of the numbers of a quantity; "1" if the FMU has none."""
+        return str(by_name(self._fmu.description)[name].unit or "1")
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and the settings; return the method of the runs as text."""

@@ -164,8 +164,10 @@ class SweepResult:
             raise UsageError("the sweep stores no trajectories; add keep=['trajectories']")
 
     def __repr__(self) -> str:
-        rows = varied_rows(self.samples.columns)
-        rows += [range_row(name, "SI", values) for name, values in self.numbers.items()]
+        layout = self.data.layout
+        rows = varied_rows(self.samples.columns, layout.units)
+        units = layout.number_units
+        rows += [range_row(name, units.get(name, ""), v) for name, v in self.numbers.items()]
         head = f"{self.model}: {len(self)} runs, {self.status}"
         return f"{head}\n{text_table(rows, most=MOST_LINES - 1)}"
 
@@ -174,8 +176,12 @@ class SweepResult:
         write_atomically(path, self.csv_text().encode())
 
     def csv_text(self) -> str:
+        """Return the table of runs as CSV."""
+        return csv_text(self.rows())
+
+    def rows(self) -> list[dict[str, Any]]:
         """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
-        rows = [
+        return [
             {
                 "run": i,
                 **{name: float(column[i]) for name, column in self.samples.columns.items()},
@@ -186,7 +192,6 @@ class SweepResult:
             }
             for i in range(len(self))
         ]
-        return csv_text(rows)
 
     def to_xarray(self) -> "xr.Dataset":
         """Return an `xarray.Dataset`: dimension `run`, what was varied as its coordinates.
@@ -295,8 +300,9 @@ def sweep(
     }
     block = _block_size(len(chosen), len(time) * len(names), in_lanes=in_lanes)
     layout = Layout(
-        manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded)
-    )
+        manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded),
+        {name: opened.own_unit(name) for name in chosen.columns},
+    )  # fmt: skip
     job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
         if scheduler is not None:  # this process waits for workers, which end with it

@@ -95,7 +95,7 @@ class Player {
     for (const name of ["pointermove", "wheel", "pointerdown"])
       canvas.addEventListener(name, (e) => { this.stale = true; this.point(e); });
     canvas.addEventListener("pointerleave", () => ($("hover").hidden = true));
-    window.addEventListener("resize", () => this.resize());
+    new ResizeObserver(() => this.resize()).observe($("view"));
     DARK.addEventListener("change", () => {
       this.scene.paint();
       this.curves.build();
@@ -115,7 +115,7 @@ class Player {
   resize() {
     this.scene.resize();
     this.curves.resize();
-    this.stale = true;
+    this.scene.draw(this.t); // now, as an observer is called after the frame: another size is black
   }
 
   facts() {
@@ -137,13 +137,12 @@ class Player {
       $("facts").appendChild(document.createElement("div")).textContent = event[1];
   }
 
-  /* What is wrong with a run at the present time, the first line with its time. */
+  /* What is wrong with a run, at all times: a line that comes and goes would move the picture. */
   complaints(run) {
-    const since = run.invalid_from, invalid = since !== null && this.t >= since;
-    const stopped = run.stopped && this.t >= this.end, last = run.reasons.length - 1;
+    const since = run.invalid_from, last = run.reasons.length - 1;
     return run.reasons.flatMap((reason, i) => {
-      if (run.stopped && i === last) return stopped ? [`stopped at ${shown(this.end)} s: ${reason}`] : [];
-      return invalid ? [i ? reason : `invalid from ${Number(since.toPrecision(3))} s: ${reason}`] : [];
+      if (run.stopped && i === last) return [`stopped at ${shown(run.time[run.time.length - 1])} s: ${reason}`];
+      return since === null ? [] : [i ? reason : `invalid from ${Number(since.toPrecision(3))} s: ${reason}`];
     });
   }
 

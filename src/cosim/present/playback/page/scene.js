@@ -88,7 +88,7 @@ class Actor {
       axes.visible = false;
       body.add(axes);
       this.root.add(body);
-      return { body, axes: i ? axes : null };
+      return { body, axes: i && !name.includes("/") ? axes : null }; // not of the world and of parts
     });
     this.shapes = data.solids.map((solid) => {
       const material = new THREE.MeshStandardMaterial({
