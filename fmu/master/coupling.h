@@ -195,15 +195,15 @@ typedef struct {
     double begin; /* its time */
 } Attempts;
 
-/* Note an attempt; tells whether the run hardly comes on, since many attempts are rejected. */
-static inline int is_held_up(const Coupling *self, Attempts *window, int rejected) {
+/* Note an attempt; tells whether it completes a window in which the run hardly comes on. */
+static inline int hardly_advances(const Coupling *self, Attempts *window, int rejected) {
     const double span = self->system->stop - self->system->start;
     if (window->made == 0) *window = (Attempts){.begin = self->now.t};
     ++window->made;
     window->rejected += rejected;
     if (window->made < WINDOW) return 0;
     window->made = 0;
-    return self->now.t - window->begin < HARDLY * span && window->rejected > WINDOW / 4;
+    return self->now.t - window->begin < HARDLY * span;
 }
 
 /* How a run ends whose macro steps become too short, for a reason. */
@@ -212,6 +212,19 @@ static inline int vanished(Coupling *self, int reason) {
     const double length = FIRST * (system->stop - system->start);
     const double allowed = OF_PARTS * system->tolerance;
     return reason == STEP_VANISHED && is_noisy(self, length, allowed) ? NOISY : reason;
+}
+
+/* The next event that ends a macro step: one that cut one short, or that a part has announced. */
+static inline double next_event(const Coupling *self) {
+    const System *system = self->system;
+    double next = self->event;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        if (part->own_step > 0) return self->event;
+        const int ahead = part->event_mode && !same_time(system, part->next_event, self->now.t);
+        if (ahead && part->next_event > self->now.t) next = fmin(next, part->next_event);
+    }
+    return next;
 }
 
 /* The end of the next macro step, about `h` long. */
@@ -223,7 +236,7 @@ static inline double next_end(const Coupling *self, double h) {
         const double end = system->start + (round(taken) + steps) * system->quantum;
         return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
     }
-    const double goal = fmin(system->stop, self->event);
+    const double goal = fmin(system->stop, next_event(self));
     return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
 }
 
@@ -236,6 +249,7 @@ static inline int run_adaptive(Coupling *self) {
     const double longest = LONGEST * system->refinement * span;
     double h = first;
     Attempts window = {0};
+    int slow = 0;
     if (save_all(self)) return CALL_FAILED;
     if (is_noisy(self, h, system->tolerance)) return NOISY;
     while (system->time < system->stop && !same_time(system, system->time, system->stop)) {
@@ -244,6 +258,7 @@ static inline int run_adaptive(Coupling *self) {
         self->next.t = next_end(self, h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
+        if (slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
         if (how == EVENT_WITHIN) {
@@ -258,7 +273,8 @@ static inline int run_adaptive(Coupling *self) {
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
         const int rejected = how == REJECTED || (too_far && !shortest);
         if (rejected && shortest && !self->ends) return vanished(self, self->reason);
-        if (is_held_up(self, &window, rejected)) return vanished(self, STEP_VANISHED);
+        slow = hardly_advances(self, &window, rejected || error > system->tolerance);
+        if (slow && window.rejected > WINDOW / 4) return vanished(self, STEP_VANISHED);
         if (rejected) {
             ++system->rejected;
             if (self->next.t == self->event) self->missed = self->event;
@@ -319,7 +335,8 @@ static inline void estimate_error(Coupling *self, double error) {
 }
 
 /* Find the inputs that jump as the last step begins, as a small heat capacity off its balance does:
- * the rate there moves their cubic further than they have moved, or by more than their size. */
+ * the rate there moves their cubic further than they have moved, or by more than their size at
+ * either end. */
 static inline int find_jumps(Coupling *self, int accepted) {
     System *system = self->system;
     const long long m = system->inputs;
@@ -329,7 +346,7 @@ static inline int find_jumps(Coupling *self, int accepted) {
         const double value = fabs(self->found[k] - self->change[k]),
                      rate = fabs(self->found[m + k]);
         const double moved = accepted ? fmax(fmax(value, rate), system->tolerance) : 1;
-        self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, 1);
+        self->jumps[k] = MOST_BY_RATE * fabs(self->change[m + k]) > fmin(moved, fmax(value, 1));
         if (self->jumps[k] == 0) continue;
         any = 1;
         system->noted = k;
@@ -354,7 +371,7 @@ static inline int run_fixed(Coupling *self) {
         if (halted) return INTERRUPTED;
         double end = fmin(system->start + (double)n * system->macro_step, system->stop);
         if (same_time(system, end, system->stop)) end = system->stop;
-        self->next.t = fmin(end, self->event);
+        self->next.t = fmin(end, next_event(self));
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         double error = 0;
         const int how = given_step(self, &error);

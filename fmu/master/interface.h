@@ -15,7 +15,7 @@ enum { JACOBI, GAUSS_SEIDEL, EXTRAPOLATED, ITERATED };       /* as `Method` in c
 enum { LOOP_UNSOLVED = NOT_A_NUMBER + 1, UNSETTLED, NOISY }; /* how a run ended, after run.h's */
 enum { MOST_SOLUTIONS = 30, PAST = 3 };
 
-static const double ROUNDED = 1e-13; /* relative difference of interfaces that agree */
+static const double ROUNDED = 1e-13; /* difference of interfaces that agree, of `most` */
 
 typedef struct {
     Part *parts;
@@ -78,6 +78,7 @@ typedef struct {
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
     int rateless;    /* whether rates that follow from values are not known at the present point */
+    double most;     /* the largest input so far, in scales */
     int agreed_at;   /* the pass in which the last step's interface agreed */
     double mismatch; /* of outputs and inputs, at output times within the step */
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best, *jumps;
@@ -185,8 +186,10 @@ static inline int settle_values(Coupling *self, double *u) {
     double last = INFINITY;
     if (!self->feedthrough) { /* no output feels an input at once */
         if (get_outputs(self, system->n_parts)) return CALL_FAILED;
-        for (long long k = 0; k < m; ++k)
+        for (long long k = 0; k < m; ++k) {
             if (!isfinite(u[system->input = k] = driven(self, k))) return NOT_A_NUMBER;
+            self->most = fmax(self->most, fabs(u[k]) / size_of(system, k, u[k]));
+        }
         return set_inputs(self, u) ? CALL_FAILED : DONE;
     }
     for (int n = 0; n < MOST_SOLUTIONS; ++n) {
@@ -194,14 +197,15 @@ static inline int settle_values(Coupling *self, double *u) {
         if (set_inputs(self, u) || get_outputs(self, system->n_parts)) return CALL_FAILED;
         for (long long k = 0; k < m; ++k) {
             self->change[k] = driven(self, k) - u[k];
-            const double off = fabs(self->change[k]) / size_of(system, k, u[k]);
+            const double size = size_of(system, k, u[k]), off = fabs(self->change[k]) / size;
             if (!(off <= worst)) {
                 worst = off;
                 system->input = k;
             }
             if (!isfinite(off)) return NOT_A_NUMBER;
+            self->most = fmax(self->most, fabs(u[k]) / size);
         }
-        if (worst <= ROUNDED || (worst >= last / 2 && last < 1e-10)) return DONE;
+        if (worst <= ROUNDED * self->most || (worst >= last / 2 && last < 1e-10)) return DONE;
         if (n % 4 == 0 && find_gain(self, u)) return CALL_FAILED;
         if (through_loops(self, self->change)) return LOOP_UNSOLVED;
         for (long long k = 0; k < m; ++k) u[k] += self->change[k];

@@ -151,7 +151,9 @@ static inline int step_through(Coupling *self, Part *part, double from, double t
         stepping.part = part;
         int how = part_step(&self->fmu, part, t, part->own_step > 0 ? part->own_step : to - t);
         stepping.coupling = NULL;
-        if (how == AT_EVENT && !self->ends_at_events) how = part_passes_event(self, part);
+        const int passes =
+            !self->ends_at_events && !same_time(self->system, part->reached, self->next.t);
+        if (how == AT_EVENT && passes) how = part_passes_event(self, part);
         if (how != STEPPED) return how;
         if (self->refused) return PART_FAILED;
         t = part->reached;
@@ -204,7 +206,7 @@ static inline int take_new_outputs(Coupling *self, long long p) {
     for (long long k = part->first_input; k < part->first_input + part->inputs; ++k) {
         const Part *source = system->parts;
         while (system->source[k] >= source->first_output + source->outputs) ++source;
-        if (source->turn >= part->turn) continue;
+        if (source->turn >= part->turn || system->held[k]) continue;
         self->next.u[k] = driven(self, k);
         system->input = k;
         if (!isfinite(self->next.u[k])) return INPUT_NOT_FINITE;
@@ -463,7 +465,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
         const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
-        agreed = left <= fmax(share * correction, ROUNDED);
+        agreed = left <= fmax(share * correction, ROUNDED * self->most);
         if (agreed) self->agreed_at = pass;
         if (agreed && (recording || !records)) break;
         idle = left < best ? 0 : idle + 1;

@@ -27,7 +27,8 @@ typedef struct {
     long long violations, kept; /* of validity conditions: so far; at `saved` */
     long long waits;            /* whether an event is to happen where it is */
     double reached;
-    void *saved; /* its state at the last communication point; NULL at first */
+    double next_event, kept_next; /* the time of the event that it has announced; at `saved` */
+    void *saved;                  /* its state at the last communication point; NULL at first */
 } Part;
 
 /* The functions of a part that is about to be called. */
@@ -114,6 +115,7 @@ static inline int part_column(Fmu *fmu, const Part *self, long long input, doubl
 static inline int part_save(Fmu *fmu, Part *self) {
     if (!self->rolls_back) return 0;
     self->kept = self->violations;
+    self->kept_next = self->next_event;
     const Functions *call = calls_of(fmu, self);
     return failed(fmu, "get_fmu_state", call->get_fmu_state(call->stepper, &self->saved));
 }
@@ -122,6 +124,7 @@ static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
     self->waits = 0;
     self->violations = self->kept;
+    self->next_event = self->kept_next;
     const Functions *call = calls_of(fmu, self);
     return failed(fmu, "set_fmu_state", call->set_fmu_state(call->stepper, self->saved));
 }
@@ -183,10 +186,11 @@ static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
 }
 
 /* What happens at an event, in event mode. */
-static inline int part_update(Fmu *fmu, const Part *self) {
+static inline int part_update(Fmu *fmu, Part *self) {
     Events events = {0};
     calls_of(fmu, self);
     if (update(fmu, &events)) return PART_FAILED;
+    self->next_event = events.next_defined ? events.next : INFINITY;
     return events.terminate ? PART_ENDED : STEPPED;
 }
 

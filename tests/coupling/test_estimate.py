@@ -48,3 +48,34 @@ def test_rounding_of_what_grows_counts(gain, accuracy):
     run = system.simulate(accuracy=accuracy)
     assert run.final["a.q"] == gain**30
     assert run.stats["error_estimate"] > np.spacing(gain**30)
+
+
+def charges(size, time):
+    """Two capacitors and a resistor: q1' = -i, q2' = i, i = (q1 - q2)/time; q1 from `size`."""
+    first, second = (cosim.Model(name, stop_time=3 * time) for name in ("first", "second"))
+    q, other = first.state("q", "C", size, "charge"), first.input("other", "C", 0.0, "charge")
+    first.derivative(q, (other - q) / time)
+    first.output("i", "A", (q - other) / time, "current")
+    q, i = second.state("q", "C", 0.0, "charge"), second.input("i", "A", 0.0, "current")
+    second.derivative(q, i)
+    wires = {"first.other": "second.q", "second.i": "first.i"}
+    return cosim.couple({"first": first.freeze(), "second": second.freeze()}, wires)
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
+@pytest.mark.parametrize("time", [1e-6, 1.0, 1e5])
+def test_small_inputs_are_resolved_as_large_ones_are(time, accuracy):
+    """Currents of 5e-14 A were rounding: 3.8e-4 of the charge off before, estimate 7.3e-7."""
+    run = charges(5e-9, time).simulate(accuracy=accuracy, output_interval=0.03 * time)
+    exact = 2.5e-9 * (1 + np.exp(-2 * run.time / time))
+    error = np.abs(run["first.q"] - exact).max() / 5e-9
+    assert error <= run.stats["error_estimate"] <= accuracy
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_large_input_that_begins_at_zero_is_no_jump(size):
+    """2.5e-6 of the size off before, with a note of a jump."""
+    run = charges(size, 1.0).simulate(macro_step=0.02, output_interval=0.02)
+    exact = size / 2 * (1 + np.exp(-2 * run.time))
+    assert np.abs(run["first.q"] - exact).max() < 5e-9 * size  # measured 1.4e-9
+    assert "jumps" not in run.stats.get("note", "")

@@ -223,3 +223,56 @@ def test_part_for_scheduled_execution_only_is_rejected_with_the_remedy(tmp_path)
     words = r"for scheduled execution only.*export it for co-simulation or model exchange"
     with pytest.raises(UsageError, match=words):
         cosim.couple({"motor": path}, {})
+
+
+NO_ROLLBACK = {"canGetAndSetFMUstate": "false"}
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+@pytest.mark.parametrize("other", [{}, NO_ROLLBACK], ids=["rollback", "none"])
+def test_noise_of_parts_without_rollback_is_no_accuracy(other, accuracy, tmp_path):
+    """In short steps the load rests, and two runs agree on it: 0.2 off before, estimate 8e-10."""
+    motor = foreign_part(tmp_path, "lag", **NO_ROLLBACK)
+    load = foreign_part(tmp_path, "lag", grid=1e-4, **other)
+    words = "motor, which cannot restore a state, may round results"
+    with pytest.raises(SolverError, match=words) as caught:
+        two_lags(motor, load).simulate(accuracy=accuracy)
+    assert caught.value.partial.stats["macro_steps"] < 100_000
+
+
+def test_noise_that_is_found_late_ends_the_run_soon():
+    """At 1e9 s, time is known to 1.2e-7 s; 3,595,105 macro steps in 67 s before."""
+    parts = {}
+    for name, start in (("motor", 1.0), ("load", 0.0)):
+        model = cosim.Model(name, stop_time=1.0)
+        x, u = model.state("y", "1", start, "state"), model.input("u", "1", 0.0, "input")
+        model.derivative(x, u - x)
+        parts[name] = model.freeze()
+    system = cosim.couple(parts, LOOP)
+    times = {"start_time": 1e9, "stop_time": 1e9 + 3, "output_interval": 0.03}
+    with pytest.raises(SolverError, match=r"part '.*' returns outputs with a noise of") as caught:
+        system.simulate(accuracy=1e-5, **times)
+    assert caught.value.partial.stats["macro_steps"] < 10_000
+
+
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel", "extrapolated", "iterated"])
+@pytest.mark.parametrize("step", [0.1, 0.04])
+def test_discrete_outputs_are_constant_within_macro_steps(step, method, tmp_path):
+    """h(0.1 n) = 1.5^n in both; 1e-13 with iterated before, and 1.5^(2 n) with gauss_seidel."""
+    sample = (
+        "if (floor((time + size) / 0.1 + 1e-6) > floor(time / 0.1 + 1e-6)) "
+        "self->x = 1.5 * (self->u + self->slope * size)"
+    )
+    motor, load = (
+        foreign_part(tmp_path, "holder", fault=sample, varies="discrete") for _ in range(2)
+    )
+    system = cosim.couple(
+        {"motor": motor, "load": load},
+        LOOP,
+        start_values={"motor.x": 1.0, "load.x": 1.0},
+        stop_time=1.0,
+        output_interval=0.2,
+    )
+    run = system.simulate(method=method, macro_step=step)
+    np.testing.assert_allclose(run["motor.y"], 1.5 ** np.round(run.time / 0.1), rtol=1e-12)
+    np.testing.assert_allclose(run["load.y"], 1.5 ** np.round(run.time / 0.1), rtol=1e-12)

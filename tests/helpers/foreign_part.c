@@ -8,7 +8,7 @@
 #define API __attribute__((visibility("default")))
 
 enum { INPUT, OUTPUT, STATE };
-enum { PLANT, CONTROLLER, LAG };
+enum { PLANT, CONTROLLER, LAG, HOLDER };
 
 typedef struct {
     double time, x, u, slope, rate;
@@ -28,7 +28,7 @@ static void equations(double x, double u, double *dx, double *y) {
         *y = clip(raw, 12);
         *dx = -1000 * u + 100 * (*y - raw);
     } else {
-        *dx = u - x;
+        *dx = KIND == LAG ? u - x : 0;
         *y = x;
     }
 }

@@ -16,7 +16,7 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="u" valueReference="0" causality="input" variability="continuous">
       <Real start="0"/>
     </ScalarVariable>
-    <ScalarVariable name="y" valueReference="1" causality="output" variability="continuous"
+    <ScalarVariable name="y" valueReference="1" causality="output" variability="{varies}"
         initial="calculated"><Real/></ScalarVariable>
     <ScalarVariable name="x" valueReference="2" causality="local" variability="continuous"
         initial="exact"><Real start="0"/></ScalarVariable>
@@ -39,7 +39,7 @@ ABILITIES = {
 }
 SAVES = ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative")
 EXCHANGE = dict.fromkeys(SAVES, "true")
-KINDS = ("plant", "controller", "lag")
+KINDS = ("plant", "controller", "lag", "holder")
 _number = count()
 
 
@@ -52,6 +52,7 @@ def foreign_part(
     divides: bool = False,
     step_size: float | None = None,
     interface: str = "CoSimulation",
+    varies: str = "continuous",
     **abilities: str,
 ) -> Path:
     """Write an FMU.
@@ -59,13 +60,14 @@ def foreign_part(
     Args:
         folder: Where to write it.
         kind: plant, v' = (u + 10)/3, y = v; controller with integral part and limited output;
-            lag, x' = u - x, y = x.
+            lag, x' = u - x, y = x; holder, x' = 0, y = x.
         fault: C statements at the begin of each step, or in model exchange of each evaluation of
             the derivative; `self`, `time` and `size` are known there.
         grid: The state after a step is rounded to a multiple of this number.
         divides: The derivative of the output is y/0 until the first step.
         step_size: The file declares steps of this size, s.
         interface: That the file declares.
+        varies: The variability of the output.
         abilities: Attributes of the interface that differ from those of a file that can do all.
     """
     name = f"{kind}_{next(_number)}"
@@ -80,6 +82,7 @@ def foreign_part(
     text = DESCRIPTION.format(
         name=name,
         interface=interface,
+        varies=varies,
         abilities=attributes,
         step_size="" if step_size is None else f' stepSize="{step_size}"',
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
-from cosim.coupling.estimate import OF_A_RUN, estimated_error
+from cosim.coupling.estimate import OF_A_RUN, changes, estimated_error, reject_noise
 from cosim.coupling.failures import (
     EndlessEvents,
     Wiring,
@@ -31,7 +31,7 @@ from cosim.coupling.settings import Method, Settings
 from cosim.coupling.stability import Ranges, reject_instability
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import REALS, by_name, invalidity, why_it_ended
+from cosim.fmi.run.instance import by_name, invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, lost_state, numeric_names, rounding
 from cosim.fmi.run.typed_values import start_number
 from cosim.host.last_call import noted_calls
@@ -44,6 +44,7 @@ _ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third run is usual
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
+_COARSE = 1e-2  # accuracy of the first run where noise cannot be measured
 _TIGHTEST = 1e-13
 _ANY_SIZE = 1e300  # of texts, which do not grow
 
@@ -109,7 +110,7 @@ class CoSimulation:
         driving = [v for opened in self.parts.values() for v in opened.outputs]
         self._held = np.array(  # and one more, so that it is not empty
             [
-                not (is_continuous(v) and driving[source].type in REALS)
+                not (is_continuous(v) and is_continuous(driving[source]))
                 for v, source in zip(self._input_variables, self._source, strict=True)
             ]
             + [False],
@@ -170,10 +171,13 @@ class CoSimulation:
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         tolerance = first = max(_FIRST * accuracy, 2 * _TIGHTEST)
+        fixed = [name for name, part in self.parts.items() if not part.rolls_back]
+        if fixed:  # whose noise shows by tighter runs that differ more than looser ones
+            tolerance = max(first, _FIRST * _COARSE)
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run, jumps, _ = self._once(task, tolerance, of_parts, (tolerance / first) ** 0.25)
+                run, jumps, _ = self._once(task, tolerance, of_parts, tolerance / first)
             except SolverError as error:
                 if last is None or isinstance(error, EndlessEvents):
                     raise
@@ -188,25 +192,25 @@ class CoSimulation:
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
             rounding = self._rounding(run, sizes, accuracy)
             if last is not None:
-                n = max(1, min(len(run), len(last)) - ("stop" in run.stats))  # ends may differ
-                change = np.abs(run.values[:n] - last.values[:n])
-                change[(jumps | jumps_before)[:n]] = 0
-                change = change.max(axis=0) / sizes
+                change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
+                reject_noise(run, fixed, accuracy, before, most)
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
                 estimate += rounding
-                before = most
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
                     return run
-                tighter = min(_TIGHTER, accuracy / estimate / 2)
+                if before or not fixed:
+                    tighter = min(_TIGHTER, accuracy / estimate / 2)
+                before = most
                 if tolerance <= _TIGHTEST:
                     break
-            last, jumps_before, before_last = run, jumps, _TIGHTEST / _TIGHTER
-            least = before_last if tolerance > before_last else _TIGHTEST  # which confirms it
+            last, jumps_before = run, jumps
+            ahead = (first, _TIGHTEST / _TIGHTER, _TIGHTEST)  # the last confirms the one before
+            least = next(one for one in ahead if one < tolerance or one == _TIGHTEST)
             ratio = max(tighter, least / tolerance)
             tolerance = max(tolerance * tighter, least)
         raise SolverError(
@@ -261,14 +265,14 @@ class CoSimulation:
                 yield name, part
 
     def _once(
-        self, task: _Task, tolerance: float, of_parts: float, refinement: float = 1.0
+        self, task: _Task, tolerance: float, of_parts: float, share: float = 1.0
     ) -> tuple[Trajectory, Truths, Ranges]:
         """Simulate once; return the run, which output times lie at jumps, (times,), and ranges.
 
         Args:
             task: What to simulate.
             tolerance, of_parts: Of the coupling, and of the solvers of the parts.
-            refinement: First and longest macro steps, of the usual ones.
+            share: Of the usual tolerance; the first and the longest macro steps follow it.
         """
         settings, columns = task.settings, task.columns
         experiment = {"startTime": settings.start, "stopTime": settings.stop}
@@ -307,7 +311,7 @@ class CoSimulation:
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
             quantum=steps.quantum,
-            refinement=refinement,
+            refinement=min(share, 1.0) ** 0.25,
             method=list(Method).index(settings.method),
             threads=settings.threads,
             lowest=reached[0].ctypes.data,

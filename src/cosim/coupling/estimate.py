@@ -1,5 +1,13 @@
 """`estimated_error`: the error of a coupling, from what tighter tolerances change."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
+from cosim.arrays import Truths, Vector
+from cosim.errors import SolverError
+from cosim.trajectory import Trajectory
+
 _FALLS = 0.75  # power of the tolerance with which the error falls; less is on the safe side
 _UNKNOWN = 0.5  # how much of the error is left if no order is known
 OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
@@ -23,3 +31,41 @@ def estimated_error(
         observed = min(change / before, _UNKNOWN) if before else _UNKNOWN
         left = max(left, observed)
     return change * left / (1 - left) + OF_A_RUN * of_parts
+
+
+def changes(run: Trajectory, last: Trajectory, left_out: Truths) -> Vector:
+    """Return the largest difference of two runs in each variable, SI.
+
+    Args:
+        run, last: The last row counts only if no part ends the run, whose times may differ.
+        left_out: Which rows lie at jumps, (times,).
+    """
+    n = max(1, min(len(run), len(last)) - ("stop" in run.stats))
+    change = np.abs(run.values[:n] - last.values[:n])
+    change[left_out[:n]] = 0
+    largest: Vector = change.max(axis=0)
+    return largest
+
+
+def reject_noise(
+    run: Trajectory, parts: Sequence[str], accuracy: float, before: float, change: float
+) -> None:
+    """Raise an error if a run differs from that before by more than that from its own before.
+
+    Args:
+        run: With the smaller tolerance.
+        parts: Those that cannot restore a state, whose noise cannot be measured.
+        accuracy: The largest error that is allowed.
+        before, change: The two differences, in nominal values; 0 if there is none.
+
+    Raises:
+        SolverError: The differences grow.
+    """
+    if parts and accuracy < change > 2 * before > 0:
+        raise SolverError(
+            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: runs differ by "
+            f"{before:.2g}, and with a smaller tolerance by {change:.2g}: {', '.join(parts)}, "
+            "which cannot restore a state, may round results; allow a larger error, or give "
+            "macro_step",
+            partial=run,
+        )

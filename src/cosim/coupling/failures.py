@@ -100,6 +100,11 @@ def failure(
         return f"{reason}{as_models(wiring)}"
     if how == Ending.STEP_VANISHED:
         reason = f": the input {entry} does not settle" if has_input else ""
+        if has_input and not wiring.parts[part].rolls_back:
+            reason = (
+                f": part '{part}', which cannot restore a state, returns an output {output} that "
+                "moves too far in each; allow a larger error, or give macro_step"
+            )
         if has_input and (inside := wiring.parts[part].internal_step):
             reason = (
                 f": the output {output} of part '{part}' changes by leaps only, each {inside:g} s, "

@@ -22,7 +22,7 @@ from cosim.integrate import events
 from cosim.integrate.call import RunStats
 from cosim.solvers import Goal
 from cosim.study.accuracy import choice
-from cosim.study.accuracy.candidates import measured_candidates
+from cosim.study.accuracy.candidates import Candidate, measured_candidates
 from cosim.study.accuracy.choice import report
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -364,3 +364,18 @@ def test_exact_agreement_is_confirmed_where_nothing_changes():
     run = simulate(resting_spring(), inputs=still, accuracy=1e-4)
     assert run.stats["error_estimate"] == 0
     assert isinstance(run.stats, RunStats)
+
+
+@pytest.mark.parametrize("worse", [1.0, 5.0, 10.0])
+def test_an_estimate_is_a_bound_if_the_check_is_worse_than_predicted(worse):
+    """With other values than the predicted ones; 4 % below the error before, in the second case."""
+    exact = simulate(oscillator().dae, stop_time=1.0, outputs=["x"])
+    wrong = (1e-3, worse * 1e-5)
+    runs = [
+        choice.CandidateRun(
+            Candidate(solver, 1e-6, {"x": predicted}, 0.0, 0, 0.0),
+            replace(exact, values=exact.values + off * exact.column("x").nominal),
+        )
+        for solver, predicted, off in zip(("cvodes", "erk"), (1e-3, 1e-5), wrong, strict=True)
+    ]
+    assert 1e-3 * 0.999999 <= choice.Pair(*runs).error <= 1.2e-3

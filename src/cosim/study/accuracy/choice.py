@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import sqrt
 
 import casadi as ca
 import numpy as np
@@ -75,10 +76,11 @@ class Pair:
     def error(self) -> float:
         """The error of the first run: the difference, and what the second one is wrong by.
 
-        Their errors have the ratio of the predicted ones.
+        With other values than those of the prediction, it is better by half of the decades only.
         """
         first, second, apart = self.first.candidate, self.second.candidate, self.worst.scaled
-        return apart * (1 + second.error / first.error) if first.error else apart
+        ratio = second.error / first.error if first.error else 0.0
+        return apart * max(1 + ratio, 1 / (1 - min(sqrt(ratio), 0.5)))
 
     @property
     def check(self) -> ErrorCheck:
