@@ -54,6 +54,10 @@ SLOW = (
     "sweeps",
     "python",
     "accuracy",
+    "sessions",
+    "steps",
+    "linearize",
+    "large_models",
 )
 BY_PAGE = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in SLOW))
@@ -133,6 +137,7 @@ def numbers_and_words(text):
     return numbers, [NUMBER.sub("0", line).split() for line in text.splitlines()]
 
 
+@pytest.mark.slow_rows("conditions")
 @pytest.mark.parametrize("name", PRINTED)
 def test_console_blocks_of_a_page_show_what_the_program_prints(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -213,7 +213,7 @@ def sampled(interval=0.01):
     return model.freeze()
 
 
-@pytest.mark.parametrize(("solver", "events"), [("dop853", 30_000), ("cvodes", 300)])
+@pytest.mark.parametrize(("solver", "events"), [("dop853", 10_000), ("cvodes", 300)])
 def test_run_with_many_events_shows_the_share_of_simulated_time(solver, events, monkeypatch):
     model = sampled(3.0 / events)
     terminal = shown_at_once(monkeypatch)

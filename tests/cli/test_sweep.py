@@ -54,6 +54,7 @@ def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
     assert len(rows_of((tmp_path / "runs.csv").read_text())) == 4
 
 
+@pytest.mark.slow_rows("words5-2-give 10000000 or less")
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [

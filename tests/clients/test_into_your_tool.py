@@ -45,6 +45,7 @@ def test_fmpy_prints_the_numbers_of_the_page(folder):
     assert "phi = 0.0561808" in PAGE
 
 
+@pytest.mark.slow
 def test_ecos_prints_the_numbers_of_the_page(folder, monkeypatch, capfd):
     try:
         import ecospy  # noqa: F401

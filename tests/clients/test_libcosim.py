@@ -39,6 +39,7 @@ def test_rider_keeps_the_bicycle_up_where_it_falls_alone(pair):
     assert abs(ride(pair, 0.01, coupled=False)[0]) > 0.1  # growing; measured 0.18
 
 
+@pytest.mark.slow
 def test_error_of_the_coupling_is_first_order_in_the_macro_step(pair):
     errors = [np.abs(ride(pair, step) - pair.expected).max() for step in (0.008, 0.004, 0.002)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])

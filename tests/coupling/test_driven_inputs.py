@@ -53,6 +53,7 @@ def table(name):
     return cosim.InputSeries((name,), TABLE[0], TABLE[1][:, None])
 
 
+@pytest.mark.slow_rows("formula", "jump", "samples")
 @pytest.mark.parametrize(
     "law",
     [

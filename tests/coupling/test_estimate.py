@@ -36,6 +36,7 @@ def sampler(name, gain, start):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("3.0-1.0")
 @pytest.mark.parametrize(("gain", "accuracy"), [(3.0, 1.0), (10.0, 1e-3)])
 def test_rounding_of_what_grows_counts(gain, accuracy):
     """Two samplers in a loop: gain^30; 'at most about 1.6e-06' before, with an error of 1.4e14."""

@@ -158,7 +158,9 @@ def test_events_end_macro_steps_so_that_their_error_is_that_of_the_coupling(make
         assert times[0] == times[1]
 
 
-@pytest.mark.slow_rows("relay-{'accuracy': 1e-06}", "block-{'accuracy': 1e-06}")
+@pytest.mark.slow_rows(
+    "relay-{'accuracy': 1e-06}", "block-{'accuracy': 1e-06}", "relay-{'macro_step': 0.02}"
+)
 @pytest.mark.parametrize("ways", [{"accuracy": 1e-6}, {"macro_step": 0.02}], ids=str)
 @pytest.mark.parametrize("make", [relay, block])
 def test_threads_change_nothing_where_events_end_steps(make, ways):
@@ -330,6 +332,7 @@ def test_a_reset_by_another_part_that_undoes_its_own_cause_happens_once():
         assert run.final["a.x"] == pytest.approx(0.5, abs=1e-9)  # measured 2e-16
 
 
+@pytest.mark.slow
 def test_a_relay_in_another_part_switches_once_per_instant():
     """Times from matrix exponentials."""
     system = thermostat(1.2, 0.8, heat=2.0, loss=0.5, rate=4.0)
@@ -344,6 +347,7 @@ def test_a_relay_in_another_part_switches_once_per_instant():
         assert run.stats["all_macro_steps"] < 600  # measured 178, 502
 
 
+@pytest.mark.slow_rows("104")
 @pytest.mark.parametrize("seed", [47, 104])
 def test_a_relay_that_is_just_beyond_its_threshold_as_a_step_begins_switches_there(seed):
     """A relation that a settled input moves past its mode is an event of all parts, too."""
@@ -378,6 +382,7 @@ def test_a_start_exactly_at_a_threshold_switches_once(settings):
     assert run["th.q"][0] == 0  # a row has the values after its events
 
 
+@pytest.mark.slow_rows("floor", "table")
 @pytest.mark.parametrize(
     ("law", "right"),
     [
@@ -412,6 +417,7 @@ def test_the_first_violation_of_a_condition_in_a_part_is_reported(settings):
     assert "invalid" not in system.simulate(stop_time=2.0, **settings).stats
 
 
+@pytest.mark.slow_rows("settings0")
 @pytest.mark.parametrize("settings", [{}, {"macro_step": 0.01}])
 def test_request_and_acknowledgement_at_one_instant_count_once(settings):
     """The request is 0, 1, 0 and the acknowledgement too; both sides count."""
@@ -472,6 +478,7 @@ def timer(name, level, rate):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("{'accuracy': 1e-06}")
 @pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.5}], ids=str)
 def test_the_order_of_parts_with_events_changes_no_bit(settings):
     parts = {"a": timer("a", 0.8, 3.0), "b": timer("b", 0.5, 4.0), "c": timer("c", 0.6, 5.0)}

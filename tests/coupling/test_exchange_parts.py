@@ -154,6 +154,11 @@ WAYS = [
 ]
 
 
+@pytest.mark.slow_rows(
+    "fmi2-ball---state-{'accuracy': 1e-06}",
+    "fmi2-thermostat---state-{'accuracy': 1e-06}",
+    "fmi3-ball---state-{'accuracy': 1e-06}",
+)
 @pytest.mark.parametrize("way", WAYS, ids=str)
 @pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
 @pytest.mark.parametrize(

@@ -102,6 +102,7 @@ def test_the_estimate_is_above_the_error_of_a_loop_of_feedthrough(lacking):
         assert error < run.stats["error_estimate"] < accuracy  # 1e-5 and 0 before at 1e-2
 
 
+@pytest.mark.slow_rows("3-True")
 @pytest.mark.parametrize("play", [False, True])
 @pytest.mark.parametrize("seed", sampled(range(20), quick=[3], slow=[*range(6), 10]))
 def test_springs_that_touch_between_parts_are_as_accurate_as_asked(seed, play):

@@ -30,6 +30,7 @@ def sliding_wheels():
     return parts, {"a.T": "c.R", "b.T": "c.T", "c.u": "a.w", "c.v": "b.w"}
 
 
+@pytest.mark.slow_rows("{'accuracy': 1e-06}")
 @pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
 def test_parts_that_hold_the_sides_of_a_relation_slide_together(settings):
     """The wheels turn together from 20/37 s, at 60 * 20/37 = 32.43 rad/s, then 5/0.7 rad/s2."""
@@ -52,6 +53,7 @@ def test_parts_that_hold_the_sides_of_a_relation_slide_together(settings):
             np.testing.assert_array_equal(again[name], run[name])
 
 
+@pytest.mark.slow_rows("{'accuracy': 1e-06}")
 @pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.01}], ids=str)
 def test_wheels_that_start_at_rest_stick_from_the_start(settings):
     """'R is nan at time 5.8e-129' before."""

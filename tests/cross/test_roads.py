@@ -52,6 +52,7 @@ def test_nor_do_they_in_the_description_of_fmi_3(name, tmp_path):
     assert check_fmu(path) == []
 
 
+@pytest.mark.slow_rows("ModelExchange-bicycle/multipliers")
 @EVERY
 @INTERFACES
 def test_fmu_agrees_with_our_integrators_over_a_short_run(name, interface, exported):

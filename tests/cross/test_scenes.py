@@ -85,6 +85,7 @@ def test_scene_runs_over_its_full_span(name):
     assert run.time[-1] == scene.request.times.stop
 
 
+@pytest.mark.slow_rows("disk_two_bars.toml")
 @pytest.mark.quick_rows(
     "bicycle_front_contact.toml",
     "bicycle_model_1.toml",

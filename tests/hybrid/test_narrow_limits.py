@@ -123,6 +123,7 @@ def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: 
         expect(run.stats, kind, width)
 
 
+@pytest.mark.slow_rows("in two states-2")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", MARGINS)
 def test_model_exchange_reports_a_narrow_limit(

@@ -45,6 +45,7 @@ def rows():
 
 
 # Measured: 2e-11 (dop853)
+@pytest.mark.slow_rows("impacts-dop853")
 @pytest.mark.parametrize(("family", "engine"), rows())
 def test_random_models_take_their_exact_courses(family, engine):
     assert_courses(family, engine, FEW)

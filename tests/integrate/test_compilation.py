@@ -38,6 +38,7 @@ def fail(*_, **__):
     pytest.fail("compiled")
 
 
+@pytest.mark.slow
 def test_large_model_is_interpreted_and_reports_it(cold, monkeypatch):
     monkeypatch.setattr(compiler, "compile_library", fail)
     run = cosim.simulate(heat(), **OPTIONS)

@@ -172,6 +172,7 @@ def test_rounding_errors_are_no_nominal_values():
     assert alone.x == (2.0**-53, 1)
 
 
+@pytest.mark.slow
 def test_large_unknowns_without_nominal_values_stop_idas_no_longer():
     """Accelerations of 1e5 rad/s2 pass 0, where 1e-12 of them was asked for."""
     dae = cosim.load(f"{EXAMPLES / 'andrews.py'}:build")

@@ -35,6 +35,7 @@ def test_lanes_give_the_bits_of_scalar_code(bicycle, everything, monkeypatch):
     np.testing.assert_array_equal(everything.values, scalar.values)
 
 
+@pytest.mark.slow_rows("outputs")
 @pytest.mark.parametrize("names", [FEW, ["phi", "delta"]], ids=["outputs", "states only"])
 def test_a_few_names_have_the_numbers_and_the_limits_of_all(bicycle, everything, names):
     few = again(bicycle, outputs=names)

@@ -145,6 +145,7 @@ def test_a_bump_where_a_state_turns_is_seen(above):
     assert abs(run["y"][-1] / right - 1) < 1e-3  # before: 1
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_a_bump_of_a_remainder_is_seen_in_each_period(solver):
     width, place = 1e-4, 0.43
@@ -199,6 +200,7 @@ def with_bump_in(role):
 HIT = (PLACE - 1e-3 * np.sqrt(np.log(2))) / SPEED  # s
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_a_bump_in_a_condition_alone_is_seen(solver):
     run = cosim.simulate(with_bump_in("when"), solver=solver)

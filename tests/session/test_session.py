@@ -64,6 +64,7 @@ def session():
 # -- bits -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_rows("step-decay-2")
 @VERSIONS
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("by", ["step", "to"])

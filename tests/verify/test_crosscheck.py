@@ -283,6 +283,7 @@ def test_runs_that_stop_at_different_times_do_not_agree():
         cosim.compare(*runs, resample=False)
 
 
+@pytest.mark.slow
 def test_a_row_at_an_event_may_have_either_side_of_it(tmp_path):
     model = Model("swing", stop_time=1.5, output_interval=0.1)
     x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 1.0, "speed")

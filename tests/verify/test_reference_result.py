@@ -38,7 +38,9 @@ def as_fmpy_reads(names, rows) -> np.ndarray:
     return np.array([tuple(row) for row in rows], dtype=[(name, np.float64) for name in names])
 
 
-@pytest.mark.slow_rows("bicycle/multipliers", "double_pendulum/quaternion")
+@pytest.mark.slow_rows(
+    "bicycle/multipliers", "double_pendulum/quaternion", "crank_shaft/multipliers"
+)
 @EVERY
 def test_fmpys_comparison_finds_no_outlier_in_any_result(name, exported):
     """Signals that are constant or zero but for rounding have no range to be compared with."""

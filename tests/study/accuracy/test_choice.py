@@ -94,6 +94,7 @@ def test_estimate_bounds_the_error_of_the_configuration_that_was_chosen(dae, acc
     assert run.stats["error_estimate_of"] == "x"
 
 
+@pytest.mark.slow_rows("0.001")
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 def test_returned_run_is_the_more_accurate_of_the_two(accuracy):
     known = known_errors()

@@ -372,6 +372,7 @@ def test_wrong_arguments_are_rejected_before_any_run(growth):
         cosim.sweep(growth, {"rate": [1.0]}, resume=True)
 
 
+@pytest.mark.slow
 def test_sobol_indices_of_a_linear_number_are_its_shares():
     pytest.importorskip("SALib")
     from SALib.analyze import sobol as analyze

@@ -56,6 +56,7 @@ def test_pareto_front_is_not_beaten(table):
         assert not any(r["ms"] < on["ms"] and r["error"] < on["error"] for r in table)
 
 
+@pytest.mark.slow
 def test_command_line_writes_table_and_figure(tmp_path, capsys):
     words = ["tradeoff", f"{FOLDER}/cut_pendulum.toml", "--steps", "20ms,2.5ms", "--repeats", "0"]
     target, figure = tmp_path / "t.csv", tmp_path / "t.png"
@@ -143,6 +144,7 @@ def test_times_values_and_outputs_of_a_command_line_count(capsys):
     assert main([*words, "-p", "a.nonsense=3"]) == 3
 
 
+@pytest.mark.slow
 def test_run_that_a_stop_ends_too_early_is_not_complete():
     stopper = cosim.Model("stopper", stop_time=2.0, output_interval=0.01)
     u = stopper.input("u", "m", 0.0, "place of the mass")
