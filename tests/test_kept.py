@@ -45,6 +45,7 @@ def test_what_the_page_says_of_all_rows_is_so(table):
     assert max(float(row["below"]) for row in table) <= 10
 
 
+@pytest.mark.slow_rows("relay")
 @pytest.mark.parametrize(
     "kind", ["relay", "sampled", pytest.param("spring", marks=pytest.mark.slow)]
 )

@@ -88,6 +88,7 @@ def test_models_import_casadi_and_nothing_of_the_product(module):
     assert third_party(MODULES[module]) <= {"casadi"}
 
 
+@pytest.mark.slow
 def test_what_is_imported_is_declared_as_a_dependency():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]

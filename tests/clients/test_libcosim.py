@@ -46,6 +46,7 @@ def test_error_of_the_coupling_is_first_order_in_the_macro_step(pair):
     np.testing.assert_allclose(orders, 1, atol=0.25)
 
 
+@pytest.mark.slow
 def test_extrapolated_macro_steps_meet_the_coupled_solution(pair):
     fine, coarse = ride(pair, 0.001), ride(pair, 0.002)
     extrapolated = 2 * fine - coarse

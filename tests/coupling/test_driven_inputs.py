@@ -53,7 +53,7 @@ def table(name):
     return cosim.InputSeries((name,), TABLE[0], TABLE[1][:, None])
 
 
-@pytest.mark.slow_rows("formula", "jump", "samples")
+@pytest.mark.slow_rows("formula", "jump", "samples", "constant of a formula", "function", "table")
 @pytest.mark.parametrize(
     "law",
     [
@@ -83,6 +83,7 @@ def test_equal_kicks_have_a_closed_form(pair):
     assert np.abs(run["b.x"] - right).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_command_line_takes_formulas_and_tables_with_an_fmu(file, pair, tmp_path, capsys):
     rows = "".join(f"{t},{u}\n" for t, u in zip(*TABLE, strict=True))
     (tmp_path / "kick.csv").write_text(f"time,a.kick\n{rows}")

@@ -362,6 +362,7 @@ def test_a_relay_that_is_just_beyond_its_threshold_as_a_step_begins_switches_the
     np.testing.assert_allclose(run["p.T"], exact["p.T"], rtol=0, atol=1e-10)  # 2e-8 before
 
 
+@pytest.mark.slow_rows("settings0")
 @pytest.mark.parametrize("settings", [{}, {"method": "extrapolated"}, {"macro_step": 0.01}])
 def test_a_start_exactly_at_a_threshold_switches_once(settings):
     """T' = 4 q - T from the upper threshold 2, heated: off at 0, on at ln 2, off at ln 3."""
@@ -382,7 +383,7 @@ def test_a_start_exactly_at_a_threshold_switches_once(settings):
     assert run["th.q"][0] == 0  # a row has the values after its events
 
 
-@pytest.mark.slow_rows("floor", "table")
+@pytest.mark.slow_rows("floor", "table", "from")
 @pytest.mark.parametrize(
     ("law", "right"),
     [
@@ -503,6 +504,7 @@ def sampler(name, gain, period=0.1):
 METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
 
 
+@pytest.mark.slow_rows("-0.8-0.1-jacobi", "1.5-0.1-jacobi")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("step", [0.1, 0.05, 0.013, 0.27])
 @pytest.mark.parametrize("gain", [1.5, -0.8])
@@ -518,6 +520,7 @@ def test_samplers_in_a_loop_see_each_other_as_they_were(gain, step, method):
     assert "note" not in run.stats
 
 
+@pytest.mark.slow_rows("0.001")
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
 def test_samples_end_macro_steps_of_a_plant_without_rollback(accuracy):
     """x' = h - x, h = 1 - 2 x each 0.25 s; 'the last two runs differ by 1.8e-06' before."""

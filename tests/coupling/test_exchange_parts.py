@@ -70,6 +70,7 @@ def error_of(run):
 STATES = {"motor.x", "load.z"}
 
 
+@pytest.mark.slow_rows("fmi2-jacobi-0.09-state", "fmi3-jacobi-0.09-state")
 @pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
 @pytest.mark.parametrize(("method", "bound"), STRAIGHT)
 def test_every_method_steps_parts_for_model_exchange(method, bound, attributes, files):
@@ -158,6 +159,11 @@ WAYS = [
     "fmi2-ball---state-{'accuracy': 1e-06}",
     "fmi2-thermostat---state-{'accuracy': 1e-06}",
     "fmi3-ball---state-{'accuracy': 1e-06}",
+    "fmi2-ball---state-{'macro_step': 0.05}",
+    "fmi2-sampler---state-{'accuracy': 1e-06}",
+    "fmi2-thermostat---state-{'macro_step': 0.05}",
+    "fmi3-ball---state-{'macro_step': 0.05}",
+    "fmi3-sampler---state-{'accuracy': 1e-06}",
 )
 @pytest.mark.parametrize("way", WAYS, ids=str)
 @pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])

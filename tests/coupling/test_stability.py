@@ -127,6 +127,7 @@ def test_no_method_ends_complete_with_what_its_instability_made(
         system.simulate(method=method, macro_step=step, stop_time=1.0)
 
 
+@pytest.mark.slow_rows("0.05")
 @pytest.mark.parametrize("step", [0.05, 0.005])
 def test_an_instability_that_turns_of_a_hinge_saturate_is_found(step):
     """Forces of about 1e5 N with every step, instead of 40 N; 1e5 of their sizes before."""
@@ -164,6 +165,7 @@ def test_growth_of_the_parts_is_none_of_the_method(name, method, runs):
         assert len(runs) == 1
 
 
+@pytest.mark.slow_rows("jacobi-0.01")
 @pytest.mark.parametrize("step", [0.01, 0.02])
 @pytest.mark.parametrize("method", ["jacobi", "gauss_seidel"])
 def test_a_source_that_begins_shortly_before_the_end_is_no_instability(method, step):

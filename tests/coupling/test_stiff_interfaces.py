@@ -25,6 +25,7 @@ def test_a_crane_at_rest_stays_there(hydraulic, step):
     assert "note" not in run.stats  # differences as small as the rounding of parts are none
 
 
+@pytest.mark.slow_rows("0.01-0.01")
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("more", [1e-3, 1e-2])
 def test_an_iterate_that_a_part_discards_is_not_the_last_word(hydraulic, more, step):
@@ -73,6 +74,7 @@ def damped(start):
     return cosim.couple(parts, wires), matrix, {"a.v": 1.0, "a.x": 0.0, "b.v": start}
 
 
+@pytest.mark.slow_rows("capacities-0.5-1e-09-False", "damped-1.0-0.0005-False")
 @pytest.mark.parametrize(
     ("make", "start", "bound", "jumps"),
     [

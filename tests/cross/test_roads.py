@@ -29,7 +29,9 @@ def test_neither_fmpy_nor_our_own_checks_find_a_problem(name, exported):
     assert check_fmu(path) == []
 
 
-@pytest.mark.slow_rows("bicycle/multipliers")
+@pytest.mark.slow_rows(
+    "bicycle/multipliers", "crank_shaft/multipliers", "double_pendulum/quaternion"
+)
 @EVERY
 @pytest.mark.usefixtures("optimized")
 def test_a_file_for_one_platform_is_small(name, tmp_path):
@@ -52,7 +54,7 @@ def test_nor_do_they_in_the_description_of_fmi_3(name, tmp_path):
     assert check_fmu(path) == []
 
 
-@pytest.mark.slow_rows("ModelExchange-bicycle/multipliers")
+@pytest.mark.slow_rows("ModelExchange-bicycle/multipliers", "CoSimulation-bicycle/multipliers")
 @EVERY
 @INTERFACES
 def test_fmu_agrees_with_our_integrators_over_a_short_run(name, interface, exported):
@@ -106,6 +108,7 @@ def test_fmpy_without_any_option_gives_the_right_numbers(name, exported):
         assert gap <= BOUND * column.nominal, column.name  # measured 3e-14 to 1e-8
 
 
+@pytest.mark.slow_rows("options0-bicycle/multipliers")
 @pytest.mark.parametrize("name", ["crank_shaft/driven", "bicycle/multipliers"])
 @pytest.mark.parametrize("options", [[], ["--stop-time", "0.5"]])
 def test_command_line_of_fmpy_gives_the_right_numbers(name, options, exported, tmp_path):

@@ -57,7 +57,7 @@ def test_energy_and_loss_are_constant(solver, tolerance, bound):
     assert run.final["loss"] == pytest.approx(138.295172, abs=1e-3)  # J, of 3.1 kJ
 
 
-@pytest.mark.slow_rows("values0")
+@pytest.mark.slow_rows("values0", "values1")
 @pytest.mark.parametrize("values", [{"x_dot": 4.0}, {"x_dot": 10.0}, {"height": 0.02}])
 def test_energy_and_loss_are_constant_at_other_speeds_and_bumps(values):
     options = {"solver": "dop853", "relative_tolerance": 1e-10, "start_values": values}
@@ -68,7 +68,7 @@ def test_energy_and_loss_are_constant_at_other_speeds_and_bumps(values):
         assert run[f"normal{wheel}"].min() > -1e-9  # N
 
 
-@pytest.mark.slow_rows("rosenbrock", "erk")
+@pytest.mark.slow_rows("rosenbrock", "erk", "cvodes")
 @pytest.mark.parametrize("solver", ["dop853", "rosenbrock", "cvodes", "erk"])
 def test_wheels_lift_off_fly_and_land(solver):
     run = jump(solver)

@@ -46,6 +46,7 @@ def test_example_is_right_by_default(name):
     assert error(name, run) < 1e-5
 
 
+@pytest.mark.slow_rows("andrews")
 @EVERY
 def test_example_is_right_to_eight_digits(name):
     options = {"solver": "rosenbrock", "compiled": False, **TIGHT.get(name, {})}
@@ -55,6 +56,7 @@ def test_example_is_right_to_eight_digits(name):
     assert error(name, run) < 1e-8
 
 
+@pytest.mark.slow_rows("andrews", "car_axis")
 @EVERY
 def test_default_solver_at_a_tight_tolerance(name):
     options = {"compiled": False, **OPTIONS.get(name, {})}

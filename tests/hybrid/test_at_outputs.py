@@ -166,6 +166,7 @@ def test_what_an_importer_sets_at_a_communication_point_decides(after, beyond):
     assert found == pytest.approx([beyond], abs=1e-9)
 
 
+@pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_the_derivative_of_an_event_at_the_last_instant_counts_its_time(solver):
     """x' = p, halved at 3: x(3) = 1.5 + p (3 - 3 / p) from p = 1 on."""

@@ -212,6 +212,7 @@ def state_model(group):
     return integrals(model, {"moving": moving, "changed": changed}[group](model))
 
 
+@pytest.mark.slow_rows("changed-fmu2 cs fmpy", "moving-cvodes", "moving-fmu2 cs fmpy")
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_law_of_a_state_switches_where_its_path_does(group, engine):
@@ -244,6 +245,7 @@ def discrete_model():
     return integrals(model, {"n": n})
 
 
+@pytest.mark.slow_rows("to it from below-dop853")
 @pytest.mark.parametrize("engine", marked(ENGINES, "dop853"))
 @pytest.mark.parametrize("path", STAIRS)
 def test_a_law_of_a_discrete_variable_has_the_value_of_each_piece(path, engine):
@@ -304,6 +306,7 @@ def time_model(group):
     return integrals(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
 
 
+@pytest.mark.slow_rows("jumping-cvodes", "jumping-fmu2 cs fmpy")
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("group", TIMES)
 def test_a_law_of_time_switches_where_its_path_does(group, engine):

@@ -153,7 +153,7 @@ def two_balls():
 TWO_BALLS = two_balls()
 
 
-@pytest.mark.slow_rows("cvodes", "CoSimulation")
+@pytest.mark.slow_rows("cvodes", "CoSimulation", "dop853")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_what_several_events_add_at_one_instant_adds_up(backend):
     run = simulated(TWO_BALLS, backend)

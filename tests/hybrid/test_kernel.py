@@ -9,6 +9,7 @@ from helpers.harness import INCLUDES, SANITIZED, STRICT, compiler
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 
 
+@pytest.mark.slow
 def test_the_kernel_steps_without_an_integrator(tmp_path):
     program = tmp_path / "kernel"
     source = Path(__file__).with_name("kernel.c")

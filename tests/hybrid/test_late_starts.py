@@ -82,6 +82,7 @@ def assert_exact(backend, start, case):
     assert time[-1] == pytest.approx(start + length, rel=1e-9)
 
 
+@pytest.mark.slow_rows("dop853-1000000.0")
 @pytest.mark.quick_rows("cvodes-1000.0", "dop853-1000000.0")
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("solver", SOLVERS)

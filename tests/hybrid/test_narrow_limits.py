@@ -50,6 +50,7 @@ def violated_at(many: Any, i: int) -> float:
     return float(many.invalid[i].split()[2])
 
 
+@pytest.mark.slow_rows("between-dop853", "bump-dop853")
 @pytest.mark.parametrize("solver", NATIVE)
 @pytest.mark.parametrize("kind", MARGINS)
 def test_native_run_reports_a_narrow_limit(kind: str, solver: str) -> None:
@@ -123,7 +124,7 @@ def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: 
         expect(run.stats, kind, width)
 
 
-@pytest.mark.slow_rows("in two states-2")
+@pytest.mark.slow_rows("in two states-2", "bump-2", "bump-3", "often-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", MARGINS)
 def test_model_exchange_reports_a_narrow_limit(

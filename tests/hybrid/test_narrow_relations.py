@@ -49,7 +49,19 @@ def expected(condition: Condition, width: float) -> tuple[int, float]:
 
 
 @pytest.mark.slow_rows(
-    "between-dop853", "bump-cvodes", "bump-dop853", "bump-erk", "often-cvodes", "often-erk"
+    "between-dop853",
+    "bump-cvodes",
+    "bump-dop853",
+    "bump-erk",
+    "often-cvodes",
+    "often-erk",
+    "between-rk4",
+    "bump-ode8",
+    "bump-rk4",
+    "in two states-dop853",
+    "often-dop853",
+    "often-ode8",
+    "often-rk4",
 )
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8", "cvodes", "erk"])
 @pytest.mark.parametrize("kind", CONDITIONS)
@@ -77,7 +89,7 @@ def test_the_first_of_two_excursions_within_a_step_is_the_event(solver: str) -> 
         assert [e.time for e in run.events] == pytest.approx([where - 1e-4, 0.9], abs=1e-9)
 
 
-@pytest.mark.slow_rows("bump-dop853", "bump-rosenbrock")
+@pytest.mark.slow_rows("bump-dop853", "bump-rosenbrock", "between-dop853", "often-dop853")
 @pytest.mark.parametrize(
     ("kind", "solver"), [*((kind, "dop853") for kind in CONDITIONS), ("bump", "rosenbrock")]
 )
@@ -133,7 +145,7 @@ def test_fixed_steps_do_not_pass_over_what_their_cubics_miss(
     assert [event.time for event in run.events] == pytest.approx([begin], abs=error)
 
 
-@pytest.mark.slow_rows("bump-2", "bump-3", "in two states-3", "often-3")
+@pytest.mark.slow_rows("bump-2", "bump-3", "in two states-3", "often-3", "between-3", "often-2")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", CONDITIONS)
 def test_model_exchange_does_not_step_over_a_narrow_relation(

@@ -102,6 +102,7 @@ def assert_touches(engine, seeds):
     assert not wrong, f"{len(wrong)} of {len(seeds)}: {wrong[:3]}"
 
 
+@pytest.mark.slow_rows("dop853", "fmu2 me fmpy", "fmu3 cs fmpy")
 @pytest.mark.parametrize("engine", QUICK)
 def test_threshold_that_is_touched_stays_where_it_is(engine):
     assert_touches(engine, range(4))

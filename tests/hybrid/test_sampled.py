@@ -65,6 +65,7 @@ def advances(monkeypatch):
     return found
 
 
+@pytest.mark.slow_rows("planned-dop853")
 @pytest.mark.parametrize("solver", COMPILED)
 @pytest.mark.parametrize("period", ["every", "planned"])
 def test_a_compiled_solver_goes_through_samples_by_itself(solver, period, monkeypatch):
@@ -95,6 +96,7 @@ def test_samples_between_the_jumps_of_a_table(solver, monkeypatch):
     assert len(begun) < 10
 
 
+@pytest.mark.slow
 def test_many_samples_need_more_than_one_call(monkeypatch):
     begun = advances(monkeypatch)
     run = cosim.simulate(sampled(), solver="dop853", stop_time=2000.0, output_interval=0.5)

@@ -173,7 +173,7 @@ def test_fmu_does_not_step_over_friction_that_rises_just_before_the_rest(tmp_pat
     assert np.abs(run["v"][run.time > 1.3]).max() < 1e-14
 
 
-@pytest.mark.slow_rows("dop853")
+@pytest.mark.slow_rows("dop853", "ode8")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_outputs_are_those_of_the_mode_of_their_time(solver):
     model = Model("turn", stop_time=2.0)

@@ -132,7 +132,7 @@ def test_logistic_growth_begins_from_a_trace(solver):
     assert np.abs(run["x"][1:] - right).max() < 1e-4  # before: 0
 
 
-@pytest.mark.slow_rows("fmpy")
+@pytest.mark.slow_rows("fmpy", "c", "cvodes")
 @pytest.mark.parametrize("runner", ["cvodes", "dop853", "lanes", "fmpy", "c"])
 def test_growth_that_the_relative_tolerance_hides_is_not_said_to_be_followed(runner, tmp_path):
     model = cosim.Model("far", stop_time=30.0, output_interval=0.3)

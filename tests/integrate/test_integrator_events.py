@@ -145,7 +145,7 @@ def test_each_column_moves_what_rests_on_a_belt_that_the_input_drives(solver):
         np.testing.assert_allclose(found, [[0, 1, 1, 1, 1], [0, 0, 0, 0, 1]], rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow_rows("1e-14-dop853", "1e-14-erk")
+@pytest.mark.slow_rows("1e-14-dop853", "1e-14-erk", "1e-14-cvodes")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
 @pytest.mark.parametrize("size", [1e-14, 1e-6])
 def test_derivatives_by_tiny_numbers_are_as_accurate_as_others(size, solver):

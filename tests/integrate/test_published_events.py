@@ -81,6 +81,7 @@ def smooth_pieces(number):
     return y[0]
 
 
+@pytest.mark.slow_rows("cvodes-1")
 @pytest.mark.quick_rows("cvodes-1", "cvodes-2", "cvodes-3", "cvodes-4")
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])

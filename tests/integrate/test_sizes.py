@@ -58,6 +58,7 @@ def divider(unit, bend):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("1e-12-0.0", "1e-12-0.001")
 @pytest.mark.parametrize("bend", [0.0, 1e-3])
 @pytest.mark.parametrize("unit", [1e-12, 1e12])
 def test_equations_of_volts_and_of_amperes_stand_beside_each_other(unit, bend):

@@ -95,6 +95,7 @@ def error_of(case):
     "floor-dop853",
     "floor-cvodes",
     "both-dop853",
+    "power-dop853",
 )
 @pytest.mark.parametrize("way", NATIVE)
 @pytest.mark.parametrize("case", CASES)

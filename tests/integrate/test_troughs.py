@@ -70,6 +70,7 @@ def error(run, starts, laws) -> float:
     return max(np.abs(run[n] - row).max() / np.abs(row).max() for n, row in pairs)
 
 
+@pytest.mark.slow_rows("crowd-dop853", "hunters-dop853")
 @pytest.mark.parametrize(
     ("case", "solver"),
     [
@@ -132,6 +133,7 @@ def test_co_simulation_keeps_the_digits(case, master, tmp_path):
     assert error(run, starts, laws) < 1e-5  # measured 2e-6; before: 0.6 to 30
 
 
+@pytest.mark.slow_rows("fmpy")
 @pytest.mark.parametrize("master", ["c", "fmpy"])
 def test_model_exchange_keeps_the_digits(master, tmp_path):
     starts, laws, stop = CASES["hunters"]
@@ -172,6 +174,7 @@ ORDINARY = {
 }
 
 
+@pytest.mark.slow_rows("friction-dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 @pytest.mark.parametrize("case", ORDINARY)
 def test_ordinary_models_keep_their_bits(case, solver, monkeypatch):

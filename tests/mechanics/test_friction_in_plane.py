@@ -82,6 +82,12 @@ def test_a_block_thrown_straight_stops_at_the_exact_time_and_stays(solver, tilt,
 
 
 # Measured error of the time: 1e-10 s (dop853), 2e-12 s (rosenbrock), 1e-9 s (cvodes at 1e-10)
+@pytest.mark.slow_rows(
+    "cvodes-1e-12-0.5-1.2",
+    "dop853-1e-10-0.5-1.2",
+    "dop853-1e-10-1.5-2.0",
+    "rosenbrock-1e-10-0.5-1.2",
+)
 @pytest.mark.parametrize(
     ("solver", "tolerance", "mu", "angle"),
     [

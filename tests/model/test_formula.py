@@ -91,6 +91,7 @@ def turned():
     return model.freeze()
 
 
+@pytest.mark.slow
 def test_quantities_are_converted_to_the_unit_of_their_input(tmp_path):
     fmu = cosim.export_fmu(turned(), tmp_path / "turned.fmu")
     for run in (

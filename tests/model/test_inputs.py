@@ -308,6 +308,7 @@ def test_jump_that_misses_an_output_time_by_rounding_is_moved_there():
     assert grid[3] != 0.3
 
 
+@pytest.mark.slow_rows("0.25-1.0")
 @pytest.mark.parametrize(("first", "last"), [(0.25, 1.0), (0.0, 0.5), (0.0, 1.0)])
 def test_run_beyond_the_samples_is_reported(bicycle, first, last):
     part = InputSeries(("steer_torque",), [first, last], [[0.0], [1.0]])

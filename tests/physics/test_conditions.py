@@ -87,7 +87,10 @@ def unit_diagonal(mass):
 
 
 @pytest.mark.slow_rows(
-    "crank_shaft/multipliers", "bar_on_frame/two_body", "disk_two_bars/multipliers"
+    "crank_shaft/multipliers",
+    "bar_on_frame/two_body",
+    "disk_two_bars/multipliers",
+    "bicycle/independent",
 )
 @pytest.mark.parametrize("name", SPEEDS)
 def test_mass_condition_is_that_of_the_kinetic_energy(models, name):

@@ -31,6 +31,7 @@ def formulations(model):
     return [name for name in casadi_models.CATALOG if name.startswith(f"{model}/")]
 
 
+@pytest.mark.slow_rows("bicycle/book")
 @pytest.mark.parametrize("name", formulations("bicycle"))
 def test_bicycle_stands_upright_with_its_wheels_on_the_ground_and_n3_down(name):
     run, played = shown(name, stop_time=0.5)
@@ -45,6 +46,7 @@ def test_bicycle_stands_upright_with_its_wheels_on_the_ground_and_n3_down(name):
     np.testing.assert_allclose(at_Q[:, 2], run["loop_closure"], atol=1e-9)  # on the ground
 
 
+@pytest.mark.slow_rows("bicycle/book")
 @pytest.mark.parametrize("name", formulations("bicycle"))
 def test_bicycle_leans_to_the_right_for_positive_roll(name):
     run, played = shown(name, start_values={"phi": 0.3, "phi_dot": 0.0}, stop_time=0.01)

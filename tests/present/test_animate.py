@@ -113,6 +113,7 @@ def test_notebook_shows_the_animation_itself(run):
     assert shown._repr_html_().startswith('<iframe srcdoc="&lt;!')
 
 
+@pytest.mark.slow_rows("mp4")
 @pytest.mark.parametrize("kind", ["gif", "mp4"])
 def test_movie_has_every_frame(run, tmp_path, kind):
     if kind == "mp4":
@@ -363,6 +364,7 @@ def test_ghosts_move_with_the_first_run_if_the_camera_follows():
     assert height_in(figure, -2, 2) > 1.0
 
 
+@pytest.mark.slow
 def test_loads_outside_the_validity_range_neither_scale_arrows_nor_leave_the_picture():
     [valid] = poses_of([{"phi_dot": 2.5}], None, stop_time=0.4)
     [invalid] = poses_of([{"phi_dot": 2.5}], None, stop_time=1.5)

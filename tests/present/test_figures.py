@@ -347,6 +347,7 @@ def test_file_next_to_a_model_is_drawn_in_the_units_of_the_label(path_run, tmp_p
         np.testing.assert_allclose(curve, own, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_axes_are_scaled_by_the_valid_part_of_a_run():
     run = cosim.simulate("bicycle", start_values={"phi_dot": 2.5}, stop_time=1.0, compiled=False)
     start, _ = run.validity
@@ -382,6 +383,7 @@ def test_runs_at_other_times_are_drawn_over_each_other_without_differences():
     assert len(figure.axes) == 1
 
 
+@pytest.mark.slow
 def test_values_in_a_legend_have_their_unit(tmp_path, monkeypatch):
     shown = []
     monkeypatch.setattr("cosim.cli.verbs.plot.save", lambda figures, *_: shown.extend(figures))

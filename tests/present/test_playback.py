@@ -69,6 +69,7 @@ def test_labels_are_in_display_units():
     assert values[-1] == pytest.approx(np.degrees(run["phi"][-1]))
 
 
+@pytest.mark.slow
 def test_run_outside_its_model_says_since_when_and_why():
     run = cosim.simulate(cosim.load("bicycle"), start_values={"phi_dot": 2.5}, stop_time=1.0)
     played = playback(run, run.drawing)

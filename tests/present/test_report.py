@@ -40,6 +40,7 @@ def test_report_holds_every_part(page):
     assert text.count("<svg") == 1 + 3  # the pose and the scene's figures
 
 
+@pytest.mark.slow
 def test_report_is_one_file_without_the_network(page):
     text = without_playback(page)
     addresses = set(re.findall(r'(?:src|href)="(https?:[^"]*)"', text))
@@ -104,6 +105,7 @@ def test_invalid_run_is_called_so_at_the_top():
     assert "shaded: invalid from" in page
 
 
+@pytest.mark.slow
 def test_report_of_a_large_model_has_linear_equations():
     dae = cosim.load("bicycle")
     run = cosim.simulate(dae, stop_time=0.1, compiled=False)

@@ -64,7 +64,7 @@ def session():
 # -- bits -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_rows("step-decay-2")
+@pytest.mark.slow_rows("step-decay-2", "step-decay-3")
 @VERSIONS
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("by", ["step", "to"])
@@ -322,6 +322,7 @@ def test_every_damaged_byte_is_found_and_leaves_the_session_as_it_was(fmi, fmus)
         assert (session.time, session.save()) == (0.5, saved)
 
 
+@pytest.mark.slow
 def test_two_signs_that_change_are_found():
     """A checksum that multiplies by odd numbers alone does not see changes of two highest bits."""
     with cosim.open("bicycle") as bike:

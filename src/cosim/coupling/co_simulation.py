@@ -174,10 +174,11 @@ class CoSimulation:
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
         if fixed:  # whose noise shows by tighter runs that differ more than looser ones
             tolerance = max(first, _FIRST * _COARSE)
+        coarsest = tolerance  # runs of which none takes the steps of another, at any tolerance
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run, jumps, _ = self._once(task, tolerance, of_parts, tolerance / first)
+                run, jumps, _ = self._once(task, tolerance, of_parts, tolerance / coarsest)
             except SolverError as error:
                 if last is None or isinstance(error, EndlessEvents):
                     raise
@@ -272,7 +273,7 @@ class CoSimulation:
         Args:
             task: What to simulate.
             tolerance, of_parts: Of the coupling, and of the solvers of the parts.
-            share: Of the usual tolerance; the first and the longest macro steps follow it.
+            share: Of the first run's tolerance; the first and the longest macro steps follow it.
         """
         settings, columns = task.settings, task.columns
         experiment = {"startTime": settings.start, "stopTime": settings.stop}
@@ -311,7 +312,7 @@ class CoSimulation:
             macro_step=settings.macro_step or 0.0,
             tolerance=tolerance,
             quantum=steps.quantum,
-            refinement=min(share, 1.0) ** 0.25,
+            refinement=share**0.25,
             method=list(Method).index(settings.method),
             threads=settings.threads,
             lowest=reached[0].ctypes.data,

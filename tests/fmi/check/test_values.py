@@ -135,6 +135,7 @@ def test_boolean_output_that_is_inverted_in_co_simulation_is_found(tmp_path):
     assert found(path, switching) == {(WRONG, "switching", "valid")}
 
 
+@pytest.mark.slow
 def test_end_of_a_run_that_model_exchange_does_not_report_is_found(tmp_path):
     bodies = {
         "fmi2NewDiscreteStates": "fmi2Status s = CALL; info->terminateSimulation = fmi2False; "
@@ -172,6 +173,7 @@ def test_declared_updates_that_no_step_makes_are_advice(tmp_path):
     assert found(path, calls) - without == {(ADVICE, "calls", "fmi3IntermediateUpdateCallback")}
 
 
+@pytest.mark.slow
 def test_directional_derivative_to_a_parameter_that_is_wrong_is_found(tmp_path):
     options, function = {"fmi": 3, "tunable": ["k"]}, "fmi3GetDirectionalDerivative"
     assert found(wrapped(tmp_path, options, oscillator()), derivatives) == set()

@@ -46,6 +46,7 @@ def heights(path, **options):
     return [cosim.simulate_fmu(path, interface=i, **options)["x_2"][-1] for i in INTERFACES]
 
 
+@pytest.mark.slow_rows("2")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_no_importer_steps_over_a_bump_that_parameters_move(fmi, tmp_path):
     dae = on_road(gauss, place=PLACE, width=WIDTH)
@@ -117,6 +118,7 @@ def on_hill(form, place=PLACE, width=WIDTH):
     return cosim.from_casadi(laws, start, name="hill", stop_time=7, output_interval=0.5)
 
 
+@pytest.mark.slow
 def test_no_importer_steps_over_a_hill_of_two_states(tmp_path):
     dae = on_hill(lambda c, d: ca.exp(-(c**2 + d**2)))
     area = np.sqrt(np.pi / 2)  # of a slice along the diagonal
@@ -179,8 +181,8 @@ def on_lift(role):
     return model.freeze()
 
 
+@pytest.mark.slow_rows("unknown", "input")
 @pytest.mark.parametrize("role", ["input", "unknown", "condition"])
-@pytest.mark.slow_rows("unknown")
 def test_nothing_steps_over_a_bump_of_inputs_and_unknowns_or_in_conditions(role, tmp_path):
     path = cosim.export_fmu(on_lift(role), tmp_path / "x.fmu")
     ramp = InputSeries(("lift",), [0.0, 7.0], [[0.0], [70.0]]) if role == "input" else None

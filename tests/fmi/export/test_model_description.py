@@ -204,6 +204,7 @@ def test_default_experiment_is_that_of_the_model(fmi):
     assert numbers == {"startTime": 0, "stopTime": 1, "tolerance": 1e-9, "stepSize": 0.01}
 
 
+@pytest.mark.slow
 def test_names_of_states_are_those_of_native_runs(exported):
     run = cosim.simulate(cosim.load("bicycle"), stop_time=0.02, compiled=False)
     again = cosim.simulate_fmu(exported("bicycle/independent"), stop_time=0.02)

@@ -223,6 +223,7 @@ def test_crossings_between_two_steps_are_seen_in_co_simulation(exported):
     assert run.final["y"] == pytest.approx(19 * once, abs=1e-7)  # 9 whole ones and half of one
 
 
+@pytest.mark.slow_rows("ModelExchange-fmpy-2e-07")
 @EACH_RUN
 def test_impacts_that_come_ever_faster_are_an_error(tmp_path, interface, master, bound):
     path = cosim.export_fmu(event_models.ball(4.0), tmp_path / "ball.fmu")
@@ -304,6 +305,8 @@ def test_events_of_random_models_are_those_of_native_simulation(seed, tmp_path):
     "CoSimulation-fmpy-1e-09-3",
     "CoSimulation-c-1e-09-3",
     "ModelExchange-fmpy-2e-07-3",
+    "CoSimulation-c-1e-09-2",
+    "ModelExchange-c-2e-07-3",
 )
 @VERSIONS
 @EACH_RUN
@@ -318,6 +321,7 @@ def test_events_are_those_of_native_simulation(exported, fmi, interface, master,
         np.testing.assert_allclose(ours, others, rtol=0, atol=max(bound, 1e-7))
 
 
+@pytest.mark.slow_rows("rosenbrock")
 @pytest.mark.parametrize("solver", ["rosenbrock", "erk"])
 def test_events_within_long_communication_steps_are_met(exported, solver):
     """An oscillator of 95 Hz, whose passages upwards are counted."""

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("no_trace")
 # -- runs that went wrong -----------------------------------------------------------------------
 
 
-@pytest.mark.slow_rows("2-ModelExchange")
+@pytest.mark.slow_rows("2-ModelExchange", "2-CoSimulation")
 @INTERFACES
 @VERSIONS
 def test_run_that_ends_early_is_an_error(interface, fmi, fmus, capfd):

@@ -88,6 +88,7 @@ BLOCKS = {
 }
 
 
+@pytest.mark.slow_rows("everything-None", "wall-None")
 @pytest.mark.parametrize("output_times", [None, "few"])
 @pytest.mark.parametrize("name", BLOCKS)
 def test_runs_in_blocks_are_single_runs(name, output_times, taken):
@@ -98,6 +99,7 @@ def test_runs_in_blocks_are_single_runs(name, output_times, taken):
     assert sum(taken) >= len(taken) / 3  # of `stopping`, those that are not stopped
 
 
+@pytest.mark.slow_rows("impacts")
 @pytest.mark.quick_rows("impacts", "release")
 @pytest.mark.parametrize("family", FAMILIES)
 def test_random_runs_in_blocks_are_single_runs(family, taken):
@@ -167,6 +169,7 @@ def test_runs_that_slide_or_stop_have_the_solver_of_the_blocks():
             np.testing.assert_array_equal(many.run(i).values, one.values)
 
 
+@pytest.mark.slow
 def test_runs_that_the_model_ends_are_not_repeated_by_another_solver():
     falls = event_models.ball(stop_time=6.0)  # it comes to rest after 2.6 s
     model = Model("limited", stop_time=2.0)

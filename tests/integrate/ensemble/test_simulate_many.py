@@ -250,6 +250,7 @@ def test_what_contradicts_itself_is_refused_at_once(bicycle):
     assert uneven.time.tolist() == [1.0, 1.5, 1.7]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_runs_that_have_ended(bicycle, monkeypatch):
     rolls = np.full(40_000, 0.5)
     timer = threading.Timer(0.7, os.kill, (os.getpid(), signal.SIGINT))

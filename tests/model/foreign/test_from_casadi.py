@@ -208,6 +208,7 @@ def test_user_file_may_return_any_of_them(tmp_path, builder, name, end):
     assert final(dae) == pytest.approx(end, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_first_example_of_the_readme_makes_an_fmu_that_fmpy_validates(
     tmp_path, monkeypatch, capsys
 ):

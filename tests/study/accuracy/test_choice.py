@@ -83,6 +83,7 @@ def test_accuracy_is_reached_far_from_the_measured_values(dae, accuracy):
     assert run.stats["error_estimate"] <= accuracy
 
 
+@pytest.mark.slow_rows("dae-1e-06")
 @pytest.mark.quick_rows("dae-1e-06", "dae-1e-09")
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 def test_estimate_bounds_the_error_of_the_configuration_that_was_chosen(dae, accuracy):
@@ -94,7 +95,7 @@ def test_estimate_bounds_the_error_of_the_configuration_that_was_chosen(dae, acc
     assert run.stats["error_estimate_of"] == "x"
 
 
-@pytest.mark.slow_rows("0.001")
+@pytest.mark.slow_rows("0.001", "1e-06")
 @pytest.mark.parametrize("accuracy", ACCURACIES)
 def test_returned_run_is_the_more_accurate_of_the_two(accuracy):
     known = known_errors()

@@ -357,6 +357,7 @@ def test_runs_that_end_themselves_are_complete_for_a_model_and_its_fmu(tmp_path)
         assert np.isnan(found.values[~before]).all()
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_rejected_before_any_run(growth):
     with pytest.raises(UnknownName, match="rate"):
         cosim.sweep(growth, {"ratee": [1.0]})

@@ -340,7 +340,6 @@ def test_figure_shows_one_line_for_each_solver_and_says_what_is_cheapest(study):
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        ("--output-file t.txt", 3),
         ("--figure t.bmp", 3),
         ("--solvers erkk", 3),
         ("--tolerances 1e-3,x", 2),
