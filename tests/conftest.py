@@ -5,6 +5,7 @@ import shlex
 import shutil
 import signal
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,8 @@ sys.dont_write_bytecode = False
 
 
 TIME_LIMIT = 600  # s; the slowest test takes about 100 s on two busy cores
+GOLDEN = 0.6180339887498949  # its multiples fall in step with no period of a table
+ROWS = Counter[str]()  # of each table, as they are collected
 
 
 def pytest_configure() -> None:
@@ -39,6 +42,11 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     slow, quick = (item.get_closest_marker(f"{kind}_rows") for kind in ("slow", "quick"))
     if (slow and row in slow.args) or (quick and row not in quick.args):
         item.add_marker("slow")
+    if share := item.get_closest_marker("quick_share"):
+        table = item.nodeid.partition("[")[0]
+        if ROWS[table] * GOLDEN % 1 >= share.args[0]:
+            item.add_marker("slow")
+        ROWS[table] += 1
     if item.config.pluginmanager.has_plugin("timeout") and not item.get_closest_marker("nightly"):
         item.add_marker(pytest.mark.timeout(TIME_LIMIT, method="thread"), append=False)
 

@@ -504,6 +504,7 @@ def sampler(name, gain, period=0.1):
 METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("-0.8-0.1-jacobi", "1.5-0.1-jacobi")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("step", [0.1, 0.05, 0.013, 0.27])

@@ -70,6 +70,7 @@ def error_of(run):
 STATES = {"motor.x", "load.z"}
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("fmi2-jacobi-0.09-state", "fmi3-jacobi-0.09-state")
 @pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
 @pytest.mark.parametrize(("method", "bound"), STRAIGHT)
@@ -155,6 +156,7 @@ WAYS = [
 ]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "fmi2-ball---state-{'accuracy': 1e-06}",
     "fmi2-thermostat---state-{'accuracy': 1e-06}",
@@ -221,6 +223,7 @@ EVERY_WAY += [{"method": method, "accuracy": 1e-4} for method in ("extrapolated"
 linux = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
 
 
+@pytest.mark.quick_share(0.3)
 @linux
 @pytest.mark.parametrize("way", EVERY_WAY, ids=lambda way: "-".join(map(str, way.values())))
 @pytest.mark.parametrize(

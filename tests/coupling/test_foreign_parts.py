@@ -34,6 +34,7 @@ def two_lags(motor, load, wires=LOOP, **options):
     return cosim.couple(parts, wires, start_values=start, **TIMES, **options)
 
 
+@pytest.mark.quick_share(0.3)
 @EVERY_WAY
 @pytest.mark.parametrize("wires", [LOOP, {"load.u": "motor.y"}, {}], ids=len)
 @pytest.mark.parametrize("value", ["NAN", "INFINITY"])

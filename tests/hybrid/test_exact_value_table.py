@@ -120,6 +120,7 @@ def attempt(run):
     return fail
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("engine", marked(TAKING_INPUTS, "fmu3 cs fmpy", "fmu3 me fmpy"))
 @pytest.mark.parametrize("path", [*INPUT_PATHS, *FORMULAS])
 def test_a_law_of_an_input_switches_where_its_path_does(path, engine):

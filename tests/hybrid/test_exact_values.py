@@ -54,6 +54,7 @@ TIME = [0, 1, 5]
 PRESSED, RELEASED, RESTS = [0, 1, 1], [1, 0, 0], [0, 0, 0]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "at_least-values0-4-CoSimulation",
     "greater-values1-1-CoSimulation",

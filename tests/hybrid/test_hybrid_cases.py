@@ -30,6 +30,7 @@ def rows():
     return found
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("block starts and stops-ode8")
 @pytest.mark.parametrize(("name", "engine"), rows())
 def test_a_hybrid_model_takes_the_course_of_its_closed_form(name, engine):

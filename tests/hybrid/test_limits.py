@@ -128,6 +128,7 @@ def test_sweep_of_an_fmu_names_what_is_invalid(tmp_path):
     assert found.reasons == {0: "invalid from 1.12 s: not fulfilled: x is small"}
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("dop853-place-1e-05", "dop853-time-0.02", "dop853-time-1e-05")
 @pytest.mark.parametrize("width", [0.02, 1e-5])
 @pytest.mark.parametrize("kind", ["place", "time"])

@@ -50,6 +50,7 @@ def violated_at(many: Any, i: int) -> float:
     return float(many.invalid[i].split()[2])
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("between-dop853", "bump-dop853")
 @pytest.mark.parametrize("solver", NATIVE)
 @pytest.mark.parametrize("kind", MARGINS)
@@ -109,6 +110,7 @@ def test_native_run_ends_at_a_narrow_limit(solver: str) -> None:
     assert caught.value.partial.time.tolist() == [0.0, 0.5]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("kind", "solver"),
     [

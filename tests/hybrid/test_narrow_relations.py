@@ -48,6 +48,7 @@ def expected(condition: Condition, width: float) -> tuple[int, float]:
     return count, spent
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "between-dop853",
     "bump-cvodes",

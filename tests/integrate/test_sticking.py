@@ -32,6 +32,7 @@ LAWS = {
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.quick_rows(
     "sign-idas",
     "sign-ModelExchange",

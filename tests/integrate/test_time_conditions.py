@@ -78,6 +78,7 @@ def error_of(case):
     return 1e-9 + 4e-16 * count * value
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "pulses at 50 Hz-dop853",
     "pulses at 50 Hz-cvodes",

@@ -70,6 +70,7 @@ def error(run, starts, laws) -> float:
     return max(np.abs(run[n] - row).max() / np.abs(row).max() for n, row in pairs)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("crowd-dop853", "hunters-dop853")
 @pytest.mark.parametrize(
     ("case", "solver"),
@@ -174,6 +175,7 @@ ORDINARY = {
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("friction-dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 @pytest.mark.parametrize("case", ORDINARY)

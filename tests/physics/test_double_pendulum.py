@@ -314,6 +314,7 @@ def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, o
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-8)  # m; measured 6e-10
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("0.001-cvodes", "0.001-erk")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock"])
 @pytest.mark.parametrize("miss", [1e-3, 1e-6, 1e-9, 1e-12, 0.0])

@@ -92,6 +92,7 @@ def replace_by_a_folder(file):
 DAMAGES = [os.unlink, flip_a_bit, cut, empty, take_the_neighbors, replace_by_a_folder]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("status/c/1-unlink")
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 @pytest.mark.parametrize(
