@@ -116,6 +116,7 @@ def test_report_of_a_large_model_has_linear_equations():
     assert "phi_dot = 0 rad/s instead of 0.5" in linear
     assert linear.count(" operations)") == 0
     assert "<td>theta</td><td>0</td>" in page  # calculated, but for rounding
+    assert "in stages (<code>stages</code>" in page
     for formulation in ("independent", "book", "multipliers"):
         assert f"<b>{formulation}</b>: " in page
 

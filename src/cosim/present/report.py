@@ -119,6 +119,11 @@ def _system(c: ReportContents) -> Iterable[str]:
         yield "</ul>"
 
 
+def _prose(text: str) -> str:
+    """Return a text of a docstring as HTML: names between backticks are code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", html.escape(text))
+
+
 def _paragraphs(docstring: str) -> Iterable[str]:
     """Yield the text of a system's module; a list and fields, `NAME  text`, line by line."""
     for paragraph in docstring.split("\n\n"):
@@ -126,9 +131,9 @@ def _paragraphs(docstring: str) -> Iterable[str]:
             continue  # a sketch in letters: the diagram shows it
         for item in re.split(r"\n(?=(?:  )?\w+  )", paragraph):
             if field := re.fullmatch(r"\s*(\w+)  +(.+)", item, re.DOTALL):
-                yield f"<p><b>{html.escape(field[1])}</b>: {html.escape(field[2])}</p>"
+                yield f"<p><b>{html.escape(field[1])}</b>: {_prose(field[2])}</p>"
             else:
-                yield f"<p>{html.escape(item)}</p>"
+                yield f"<p>{_prose(item)}</p>"
 
 
 def _equations(c: ReportContents) -> Iterable[str]:
