@@ -170,11 +170,10 @@ class CoSimulation:
         last, steps, ratio, before, jumps_before = None, 0, 1.0, 0.0, np.empty(0, dtype=bool)
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
-        tolerance = first = max(_FIRST * accuracy, 2 * _TIGHTEST)
+        first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
-        if fixed:  # whose noise shows by tighter runs that differ more than looser ones
-            tolerance = max(first, _FIRST * _COARSE)
-        coarsest = tolerance  # runs of which none takes the steps of another, at any tolerance
+        # their noise shows by tighter runs that differ more; no two runs take the same steps
+        tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:

@@ -86,3 +86,15 @@ def test_derivatives_take_the_constants_of_the_instance_and_keep_their_bits(name
         for function in (alone, shared)
     ]
     assert lengths[1] < lengths[0]
+
+
+def test_laws_that_are_kept_longer_than_their_derivatives_still_have_them():
+    """As of the sixth model of a process, if the first one is exported again."""
+    first, *others = models = [cosim.Model(f"model_{k}") for k in range(6)]
+    for model in models:
+        x, k = model.state("x", "1", 1.0, "x"), model.parameter("k", "1/s", 1.0, "rate")
+        model.derivative(x, -k * x)
+    laws = fmu_laws(first.freeze(), None, derivatives=True, adjoint=True)
+    for model in others:
+        fmu_laws(model.freeze(), None, derivatives=True, adjoint=True)
+    assert model_functions(laws, None, derivatives=True, adjoint=True)

@@ -30,11 +30,11 @@ MUTATIONS = {  # wrapped functions, what is found
     ),
     "an input without effect": (
         {"fmi2SetReal": IGNORED.format("REF(force)"), **KIND, **HELD},
-        {(WRONG, "motion")},
+        {(WRONG, "motion"), (WRONG, "reset")},
     ),
     "a parameter without effect in a run": (
         {"fmi2SetReal": IGNORED.format("REF(rate)"), **KIND},
-        {(WRONG, "motion")},
+        {(WRONG, "motion"), (WRONG, "reset"), (WRONG, "settings")},
     ),
     "input derivatives without effect": (
         HELD,

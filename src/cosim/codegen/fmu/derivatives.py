@@ -31,14 +31,16 @@ class Formulas(NamedTuple):
 
     @property
     def named(self) -> Mapping[str, SX]:
-        """The expressions by names of their own."""
-        return {f"{self.name}_{i}": result for i, result in enumerate(self.results)}
+        """The seeds and the expressions by names of their own."""
+        columns = [*self.seeds, *self.results]
+        return {f"{self.name}_{i}": column for i, column in enumerate(columns)}
 
     def expressions(self, dae: Dae, laws: Laws | None) -> tuple[list[SX], list[SX]]:
         """Return the symbols and the expressions; of laws, with their constants for p."""
         if laws is None:
             return [*dae.arguments, *self.seeds], self.results
-        return [*laws.arguments, *self.seeds], [laws.others[name] for name in self.named]
+        columns, count = [laws.others[name] for name in self.named], len(self.seeds)
+        return [*laws.arguments, *columns[:count]], columns[count:]
 
     def function(self, dae: Dae, laws: Laws | None) -> ca.Function:
         """Return the same as a function."""
