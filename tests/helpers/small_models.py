@@ -50,3 +50,13 @@ def growing() -> Dae:
     model.output("twice", "1", 2 * x + u, "output of state and input")
     model.limit(0.7 - x, "x stays below 0.7")
     return model.freeze()
+
+
+def ball() -> Dae:
+    """Return a ball that is dropped from 1 m and bounces back with 0.7 of its speed."""
+    model = Model("ball", stop_time=1.5)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -0.7 * v})
+    return model.freeze()

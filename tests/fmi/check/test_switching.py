@@ -6,6 +6,7 @@ import zipfile
 import casadi as ca
 import pytest
 from helpers.fmu_files import rewritten, set_attributes, with_description
+from helpers.small_models import ball
 from helpers.wrapped import wrapped
 
 import cosim
@@ -19,15 +20,6 @@ from cosim.fmi.check.trials.start import initialization, start, time
 from cosim.fmi.check.trials.steps import steps
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import defaults
-
-
-def ball():
-    model = cosim.Model("ball", stop_time=1.5)
-    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
-    model.derivative(h, v)
-    model.derivative(v, -9.81)
-    model.when(h < 0, {v: -0.7 * v})
-    return model.freeze()
 
 
 def sampled():

@@ -2,6 +2,7 @@
 
 import pytest
 from helpers.fmu_files import set_attributes, with_description
+from helpers.small_models import ball
 from helpers.typed_part import typed_part
 from helpers.wrapped import wrapped
 
@@ -154,15 +155,6 @@ def test_wrong_answer_of_a_step_that_ends_at_an_event_is_found(change, tmp_path)
     body = f"fmi3Status s = CALL; {change}; return s;"
     path = wrapped(tmp_path, {"fmi": 3}, ball(), fmi3DoStep=body)
     assert found(path, switching) == {(WRONG, "switching", "CoSimulation")}
-
-
-def ball():
-    model = cosim.Model("ball", stop_time=1.5)
-    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
-    model.derivative(h, v)
-    model.derivative(v, -9.81)
-    model.when(h < 0, {v: -0.7 * v})
-    return model.freeze()
 
 
 def test_declared_updates_that_no_step_makes_are_advice(tmp_path):

@@ -161,6 +161,10 @@ class Bench:
         )
         return self.step_size(kind) if fixed else self.span / _POINTS
 
+    def step_count(self, size: float) -> int:
+        """Return how many steps of a size, s, fit into the run, but for rounding."""
+        return int(self.span / size * (1 + 1e-9))
+
     @contextmanager
     def session(self, kind: str, **callback: Any) -> Iterator["Session"]:
         """Yield an instance, not yet initialized; `callback` is that of `instantiated`."""
@@ -194,7 +198,7 @@ class Bench:
         """
         known = by_name(self.fmpy)
         variables = tuple(known[variable.name] for variable in recorded)
-        stop = self.start + size * int(self.span / size * (1 + 1e-9))
+        stop = self.start + size * self.step_count(size)
         times = (self.start, stop, size)
         request = FmuRequest(self.fmpy, kind, {}, *times, variables, tolerance=tolerance)
 

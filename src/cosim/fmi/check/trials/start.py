@@ -151,9 +151,11 @@ def reset(bench: Bench, kind: str) -> Iterator[Finding]:
         again = few_numbers(session)
         yield from _same(TRIAL_RULES["reset"], session, first, again, "a run after reset differs")
         with suppress(Exception), bench.session(kind) as fresh:  # it may reject values
-            expected = few_numbers(fresh, other_settings=True)
+            _put_other_settings(fresh)
+            expected = few_numbers(fresh)
             session.instance.reset()
-            found = few_numbers(session, other_settings=True)
+            _put_other_settings(session)
+            found = few_numbers(session)
             text = "a run with other values after reset differs from that of a new instance"
             yield from _same(TRIAL_RULES["reset"], session, expected, found, text)
 
@@ -209,20 +211,18 @@ def _disturb(session: Session) -> None:
             session.put(variable, altered(variable, value, 0.1))
 
 
-def few_numbers(
-    session: Session,
-    other: Session | None = None,
-    *,
-    started: bool = False,
-    other_settings: bool = False,
-) -> Vector:
+def _put_other_settings(session: Session) -> None:
+    """Give parameters and inputs other values than those of the file, before the start."""
+    bench = session.bench
+    for variable in (*bench.reals("parameter"), *bench.reals("input", "continuous")):
+        session.put(variable, altered(variable, float(variable.texts["start"]), 0.02))
+
+
+def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
     """Run a little and return all outputs; in model exchange, outputs and slopes of two states.
 
     The other instance is always ahead.
     """
-    if other_settings:
-        for v in (*session.bench.reals("parameter"), *session.bench.reals("input", "continuous")):
-            session.put(v, altered(v, float(v.texts["start"]), 0.02))
     if not started:
         session.start()
     bench, outputs = session.bench, session.bench.outputs()

@@ -70,7 +70,7 @@ class _Switching:
                 return session.values(rates)
 
             signs = session.all_of("getEventIndicators", indicators) > 0
-            for n in range(1, int(self.bench.span / size * (1 + 1e-9)) + 1):
+            for n in range(1, self.bench.step_count(size) + 1):
                 reject_lateness(self.end)
                 t, end = self.bench.start + (n - 1) * size, self.bench.start + n * size
                 x = session.values(states)
@@ -108,7 +108,7 @@ class _Switching:
             update_discrete_states(instance)
             instance.enterStepMode()
             recorded = self.access(instance)
-            for n in range(1, int(bench.span / size * (1 + 1e-9)) + 1):
+            for n in range(1, bench.step_count(size) + 1):
                 rows.append(recorded.get())
                 end = bench.start + n * size
                 while time < end:
@@ -226,7 +226,7 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
         text = f"it ends at {reached[-1]:.6g} s, model exchange at {times[-1]:.6g} s"
         yield TRIAL_RULES["ends-otherwise"].at(kind, text)
     rows = min(len(exact), len(coarse), len(found))
-    rows -= rows < int(bench.span / size * (1 + 1e-9)) + 1  # ends need not be at one time
+    rows -= rows < bench.step_count(size) + 1  # ends need not be at one time
     exact, coarse, found = exact[:rows], coarse[:rows], found[:rows]
     if not rows:
         raise Skipped("it ends by itself before")
