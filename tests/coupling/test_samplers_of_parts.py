@@ -1,0 +1,61 @@
+"""Samplers in parts: in loops, and beside parts that cannot restore a state."""
+
+import numpy as np
+import pytest
+
+import cosim
+
+
+def sampler(name, gain, period=0.1):
+    """A part that holds `gain` times its input from each multiple of a period on."""
+    model = cosim.Model(name, stop_time=2.0, output_interval=0.05)
+    u, h = model.input("u", "1", 0.0, "input"), model.discrete("h", "1", 1.0, "output")
+    model.every(period, {h: gain * u}, name="sample")
+    return model.freeze()
+
+
+METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
+
+
+@pytest.mark.quick_share(0.3)
+@pytest.mark.slow_rows("-0.8-0.1-jacobi", "1.5-0.1-jacobi")
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("step", [0.1, 0.05, 0.013, 0.27])
+@pytest.mark.parametrize("gain", [1.5, -0.8])
+def test_samplers_in_a_loop_see_each_other_as_they_were(gain, step, method):
+    """h(0.1 n) = gain^(n + 1) in both; gauss_seidel gave gain^(2 n + 1) with every step before."""
+    parts = {name: sampler(name, gain) for name in "ab"}
+    system = cosim.couple(parts, {"a.u": "b.h", "b.u": "a.h"})
+    run = system.simulate(method=method, macro_step=step)
+    samples = 1 + np.floor(run.time / 0.1 + 1e-9)
+    for name in ("a.h", "b.h"):
+        np.testing.assert_allclose(run[name], gain**samples, rtol=1e-14)
+    assert run.complete
+    assert "note" not in run.stats
+
+
+@pytest.mark.slow_rows("0.001")
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
+def test_samples_end_macro_steps_of_a_plant_without_rollback(accuracy):
+    """x' = h - x, h = 1 - 2 x each 0.25 s; 'the last two runs differ by 1.8e-06' before."""
+    plant = cosim.Model("plant", stop_time=1.0, output_interval=0.01)
+    x, u = plant.state("x", "1", 1.0, "state"), plant.input("u", "1", 0.0, "input")
+    plant.derivative(x, u - x)
+    control = cosim.Model("control", stop_time=1.0, output_interval=0.01)
+    seen, h = control.input("seen", "1", 0.0, "x"), control.discrete("h", "1", 0.0, "held")
+    control.every(0.25, {h: 1 - 2 * seen}, name="sample")
+    parts = {"plant": plant.freeze(), "control": control.freeze()}
+    wires = {"plant.u": "control.h", "control.seen": "plant.x"}
+    system = cosim.couple(parts, wires, abilities={"plant": "no rollback"})
+    run = system.simulate(accuracy=accuracy)
+    begins = [1.0]
+    for _ in range(4):
+        held = 1 - 2 * begins[-1]
+        begins.append(held + (begins[-1] - held) * np.exp(-0.25))
+    count = np.floor(run.time / 0.25 + 1e-9).astype(int)
+    begin = np.array(begins)[count]
+    held = 1 - 2 * begin
+    right = held + (begin - held) * np.exp(-(run.time - 0.25 * count))
+    error = np.abs(run["plant.x"] - right).max()
+    assert error <= run.stats["error_estimate"] <= accuracy
+    assert run.stats["all_macro_steps"] < 20_000  # 84,713 before, with 1e-3
