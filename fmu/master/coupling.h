@@ -11,12 +11,11 @@
 #include "macro_step.h"
 #include "noise.h"
 
-enum { MOST_FORCED = 1000, WINDOW = 2000 /* attempts */ };
+enum { MOST_FORCED = 1000 };
 
 static const double SAFE = 0.8, SHORTER = 0.2;                    /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
 static const double MOST_BY_RATE = 4.0 / 27; /* of s (1 - s)^2, which a rate adds to a cubic */
-static const double HARDLY = 1e-3;           /* progress, of the span */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
 
 /* Whether all that the parts have recorded in a row are numbers. Returns how the run goes on. */
@@ -189,55 +188,12 @@ static inline int iterates(const Coupling *self) {
     return self->all_roll_back && (isfinite(self->event) || !has_near_past(self));
 }
 
-/* Attempts of macro steps, in windows of equal number. */
-typedef struct {
-    long long made, rejected;
-    double begin; /* its time */
-} Attempts;
-
-/* Note an attempt; tells whether it completes a window in which the run hardly comes on. */
-static inline int hardly_advances(const Coupling *self, Attempts *window, int rejected) {
-    const double span = self->system->stop - self->system->start;
-    if (window->made == 0) *window = (Attempts){.begin = self->now.t};
-    ++window->made;
-    window->rejected += rejected;
-    if (window->made < WINDOW) return 0;
-    window->made = 0;
-    return self->now.t - window->begin < HARDLY * span;
-}
-
 /* How a run ends whose macro steps become too short, for a reason. */
 static inline int vanished(Coupling *self, int reason) {
     const System *system = self->system;
     const double length = FIRST * (system->stop - system->start);
     const double allowed = OF_PARTS * system->tolerance;
     return reason == STEP_VANISHED && is_noisy(self, length, allowed) ? NOISY : reason;
-}
-
-/* The next event that ends a macro step: one that cut one short, or that a part has announced. */
-static inline double next_event(const Coupling *self) {
-    const System *system = self->system;
-    double next = self->event;
-    for (long long p = 0; p < system->n_parts; ++p) {
-        const Part *part = system->parts + p;
-        if (part->own_step > 0) return self->event;
-        const int ahead = part->event_mode && !same_time(system, part->next_event, self->now.t);
-        if (ahead && part->next_event > self->now.t) next = fmin(next, part->next_event);
-    }
-    return next;
-}
-
-/* The end of the next macro step, about `h` long. */
-static inline double next_end(const Coupling *self, double h) {
-    const System *system = self->system;
-    if (system->quantum > 0) {
-        const double taken = (self->now.t - system->start) / system->quantum;
-        const double steps = fmax(floor(1.01 * h / system->quantum), 1);
-        const double end = system->start + (round(taken) + steps) * system->quantum;
-        return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
-    }
-    const double goal = fmin(system->stop, next_event(self));
-    return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
 }
 
 static inline int run_adaptive(Coupling *self) {

@@ -261,4 +261,30 @@ static inline int settle(Coupling *self, Interface *at) {
     return self->system->method >= EXTRAPOLATED ? settle_rates(self, at) : DONE;
 }
 
+/* The next event that ends a macro step: one that cut one short, or that a part has announced. */
+static inline double next_event(const Coupling *self) {
+    const System *system = self->system;
+    double next = self->event;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        if (part->own_step > 0) return self->event;
+        const int ahead = part->event_mode && !same_time(system, part->next_event, self->now.t);
+        if (ahead && part->next_event > self->now.t) next = fmin(next, part->next_event);
+    }
+    return next;
+}
+
+/* The end of the next macro step, about `h` long. */
+static inline double next_end(const Coupling *self, double h) {
+    const System *system = self->system;
+    if (system->quantum > 0) {
+        const double taken = (self->now.t - system->start) / system->quantum;
+        const double steps = fmax(floor(1.01 * h / system->quantum), 1);
+        const double end = system->start + (round(taken) + steps) * system->quantum;
+        return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
+    }
+    const double goal = fmin(system->stop, next_event(self));
+    return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
+}
+
 #endif

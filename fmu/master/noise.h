@@ -1,14 +1,16 @@
 /* The noise of parts: by how much a step differs from two halves of it, however short it is.
  *
  * The error of a solver falls with the length of the step. What does not, such as results that are
- * rounded, keeps macro steps from being as accurate as they should be.
+ * rounded, keeps macro steps from being as accurate as they should be: a run hardly comes on.
  */
 #ifndef NOISE_H
 #define NOISE_H
 
 #include "interface.h"
 
-enum { LENGTHS = 4 }; /* that are tried, of one order of magnitude */
+enum { LENGTHS = 4, WINDOW = 2000 }; /* tried, of one order of magnitude; attempts */
+
+static const double HARDLY = 1e-3; /* progress, of the span */
 
 /* Make steps of equal length from the saved state with constant inputs, and get the outputs.
  * Returns whether it has made them, without an event. */
@@ -68,6 +70,22 @@ static inline int is_noisy(Coupling *self, double length, double allowed) {
         system->part = p;
     }
     return worst > allowed;
+}
+
+/* Attempts of macro steps, in windows of equal number. */
+typedef struct {
+    long long made, rejected;
+    double begin; /* its time */
+} Attempts;
+
+/* Note an attempt; tells whether it completes a window in which the run hardly comes on. */
+static inline int hardly_advances(const Coupling *self, Attempts *window, int rejected) {
+    const double span = self->system->stop - self->system->start;
+    if (window->made == 0) *window = (Attempts){.begin = self->now.t};
+    window->rejected += rejected;
+    if (++window->made < WINDOW) return 0;
+    window->made = 0;
+    return self->now.t - window->begin < HARDLY * span;
 }
 
 #endif

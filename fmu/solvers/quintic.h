@@ -10,7 +10,6 @@
 
 #include <float.h>
 #include <stdbool.h>
-#include <stddef.h>
 
 #include "cubic.h"
 #include "ode.h"
@@ -91,8 +90,8 @@ static inline bool sharpen(Quintic *self) {
 }
 
 static inline void sharpen_fully(Quintic *self) {
-    bool more = self != NULL;
-    while (more) more = sharpen(self);
+    while (self && sharpen(self)) {
+    }
 }
 
 #endif

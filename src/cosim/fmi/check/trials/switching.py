@@ -178,10 +178,7 @@ class _Switching:
         instance.updateDiscreteStates = watched
 
 
-_Rows = tuple[Vector, Vector]  # times, s, and outputs
-
-
-def _both(runs: _Switching, size: float) -> tuple[_Rows, _Rows]:
+def _both(runs: _Switching, size: float) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
     """Return times, s, and outputs, a size apart, in model exchange and in co-simulation.
 
     Raises:
