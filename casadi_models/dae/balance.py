@@ -1,11 +1,10 @@
 """Sizes of equations that are solved together, so that none of them loses its digits."""
 
 from collections.abc import Sequence
+from math import inf
 
 import casadi as ca
-import numpy as np
 from casadi import SX
-from numpy.typing import NDArray
 
 from casadi_models.dae.expressions import irregular_place
 from casadi_models.dae.variables import Variable
@@ -32,24 +31,41 @@ def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     """
     terms = ca.fabs(ca.densify(matrix))
     sums = ca.sum2(terms)
-    lasting = _lasting(terms, p, parameters)
-    if len(lasting) > LARGEST:
+    if terms.size1() > LARGEST:
         return sums
-    fit = np.block([[np.diag(lasting.sum(1)), lasting], [lasting.T, np.diag(lasting.sum(0))]])
-    weights = ca.sparsify(np.linalg.pinv(fit)[len(lasting) :], 1e-9)
+    lasting = _lasting(terms, p, parameters)
     counted = terms * lasting + (1 - lasting)
     logs = ca.log(counted)
-    unknowns = ca.exp(-weights @ ca.vertcat(ca.sum2(logs), ca.sum1(logs).T))
+    # the sizes of the rows are eliminated from the normal equations of the fit
+    means = ca.sparsify(ca.diag(1 / ca.fmax(ca.sum2(lasting), 1)) @ lasting)
+    fit = ca.sparsify(ca.diag(ca.sum1(lasting)) - lasting.T @ means, 1e-9)
+    right = means.T @ ca.sum2(logs) - ca.sum1(logs).T
+    unknowns = ca.exp(ca.inv(fit + _together(fit)) @ right)
     return ca.if_else(ca.mmin(counted) > 0, terms @ unknowns, sums)
 
 
-def _lasting(terms: SX, p: SX, parameters: Sequence[Variable]) -> NDArray[np.float64]:
+def _together(fit: ca.DM) -> ca.DM:
+    """Return 1 where the sizes of two unknowns depend on each other: one of these sizes is free."""
+    count, order, ends = fit.sparsity().scc()
+    together = ca.DM.zeros(*fit.shape)
+    for k in range(count):
+        block = order[ends[k] : ends[k + 1]]
+        together[block, block] = 1
+    return together
+
+
+def _lasting(terms: SX, p: SX, parameters: Sequence[Variable]) -> ca.DM:
     """Return 1 where coefficients vanish neither at parameters of 0 nor at equal ones, or 0."""
-    usual = np.array([parameter.start or 0.0 for parameter in parameters])
-    may_vanish = np.array([v.minimum <= 0 <= v.maximum for v in parameters], bool)
-    moved = usual * np.array(irregular_place(usual.size)).ravel()
+    usual = ca.DM([parameter.start or 0.0 for parameter in parameters])
+    lowest = [
+        0.0 if parameter.minimum <= 0 <= parameter.maximum else share * start
+        for parameter, share, start in zip(
+            parameters, irregular_place(usual.numel()).elements(), usual.elements(), strict=True
+        )
+    ]
     values = ca.Function("terms", [p], [terms])
-    places = (usual, np.where(may_vanish, 0.0, moved), np.ones(usual.size))
-    found = [np.array(values(place)) for place in places]
-    counts = [(a > 1e-12 * a.max()) & np.isfinite(a) for a in found]
-    return np.array(np.logical_and.reduce(counts), float)
+    lasting = ca.DM.ones(*terms.shape)
+    for place in (usual, ca.DM(lowest), ca.DM.ones(usual.numel())):
+        found = values(place)
+        lasting *= (found > 1e-12 * ca.mmax(found)) * (found < inf)
+    return ca.densify(lasting)
