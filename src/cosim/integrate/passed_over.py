@@ -75,11 +75,11 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     """
     plain = attempt(grid, np.empty(0))
     steps = _counted(plain)
-    few = len(plain.time) < 2 * steps  # such rows show too little of the motion
     if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
         return plain
-    rows, ends, places = between(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
-    motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
+    rows, ends, places = rows_between(plain, grid), np.empty(0), list[Place]()
+    motion = attempt(np.union1d(grid, rows), ends) if len(rows) else plain
+    passed = list[Place]()
     settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
         new = _apart(_found(dae, motion, p, steps), places)
@@ -237,6 +237,12 @@ def _inside(grid: Vector, times: list[Vector]) -> Vector:
     """Return the times within a grid, each once."""
     every = np.unique(np.concatenate(times))
     return np.asarray(every[(grid[0] < every) & (every < grid[-1])])
+
+
+def rows_between(motion: Motion, grid: Vector) -> Vector:
+    """Return times within a grid, s, if the rows of a motion show too little of it; else none."""
+    steps = _counted(motion)
+    return np.empty(0) if len(motion.time) >= 2 * steps else between(grid, steps)
 
 
 def between(grid: Vector, steps: int) -> Vector:

@@ -29,6 +29,7 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, Solved, all_columns, observe
+from cosim.integrate.passed_over import rows_between
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solvers import SOLVERS, with_largest_step
 from cosim.integrate.validity import (
@@ -334,7 +335,7 @@ def evaluated(
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
     status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
-    return motion, Recorded(time, table, status, invalid, _note(prepared, motion)), reason
+    return motion, Recorded(time, table, status, invalid, _note(prepared, motion, again)), reason
 
 
 def trajectory_of(
@@ -385,12 +386,21 @@ def trajectory_of(
     )
 
 
-def _note(prepared: Prepared, motion: Motion) -> str | None:
-    """Return what differs from the request, for the report; None if nothing does."""
+def _note(prepared: Prepared, motion: Motion, again: Again) -> str | None:
+    """Return what differs from the request, for the report; None if nothing does.
+
+    Args:
+        prepared: The plan of the run.
+        motion: Its motion.
+        again: Returns it with further rows.
+    """
     inner, problem = prepared.inner, prepared.problem
     tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
     gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
     small = _small_states(problem.dae, inner, motion.states)
+    if small and not motion.reason:
+        seen = again(rows_between(motion, problem.grid))
+        small = _small_states(problem.dae, inner, seen.states)
     notes = tight if inner != prepared.solver else "", gaps, prepared.note, small, motion.note
     return "; ".join(filter(None, notes)) or None
 
