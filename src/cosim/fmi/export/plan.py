@@ -148,14 +148,18 @@ PARTS = (
     Part(
         "co-simulation with a generated solver",
         lambda plan: not plan.dop853,
-        ("integration_step.c", "cubic.h", "quintic.h", "ode.h"),
+        ("integration_step.c", "bounds.h", "cubic.h", "quintic.h", "ode.h"),
     ),
     Part(
         "relations, events or pulses",
         lambda plan: plan.system is not None,
         ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
     ),
-    Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h", "bounds.h")),
+    Part(
+        "validity conditions",
+        lambda plan: bool(plan.dae.limits),
+        ("margins.h", "bounds.h", "cubic.h", "quintic.h", "ode.h"),
+    ),
     Part(
         "a motion between two points of an importer",
         lambda plan: plan.bounds_limits or bool(plan.system and plan.system.enclosures.relations),
