@@ -23,6 +23,7 @@ from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
 from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.values import own_sizes
 
 Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
@@ -214,6 +215,22 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     if not found:
         return motion
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
+
+
+def finer_than_steps(motion: Motion, p: Vector, inputs: InputSeries | None) -> str:
+    """Return which tables, or rows of inputs, have more values than a motion has equal steps."""
+    begin, end = motion.time[[0, -1]]
+    if inputs is not None:
+        rows = (begin < inputs.time) & (inputs.time < end)
+        if rows.sum() > _counted(motion):
+            return f"steps pass over rows of {', '.join(inputs.names)}"
+    path = Path.of(motion, p)
+    for terms in terms_of(motion.dae):
+        x, knots = _moved(terms, path), _knots(motion.dae, terms, p)
+        if ((x.min() < knots) & (knots < x.max())).sum() > _counted(motion):
+            name = [*(state.name for state in motion.dae.states), "time"][terms.moving]
+            return f"steps pass over knots of a table of {name}"
+    return ""
 
 
 def _sizes(motion: Motion) -> Vector:
