@@ -186,6 +186,16 @@ def test_fixed_steps_beyond_the_limit_of_stability_end_the_run(events):
     assert cosim.simulate(model.freeze(), solver="rk4", step_size=0.01)["x"][-1] < 1e-9
 
 
+def test_fixed_steps_whose_half_fails_end_the_run():
+    """A pole at 0.075 m, between the stages of a step but at one of half the step."""
+    model = Model("pole", stop_time=0.6, output_interval=0.3)
+    s, x = model.state("s", "m", 0.0, "way"), model.state("x", "m", 0.0, "x")
+    model.derivative(s, 1.0)
+    model.derivative(x, 1e-3 / (s - 0.075))
+    with pytest.raises(SolverError, match="too long: half of it fails"):  # before: complete
+        cosim.simulate(model.freeze(), solver="rk4", step_size=0.3)
+
+
 def test_fixed_steps_follow_what_grows():
     model = Model("growth", stop_time=30.0, output_interval=0.1)
     x = model.state("x", "1", 1.0, "x")

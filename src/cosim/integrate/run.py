@@ -139,7 +139,7 @@ def _evaluated(
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
     if check.diverges and check.breach and check.breach.position < n:
-        n, reason = check.breach.position, Ending(f"{check.breach.reason}", remedy=_SHORTER)
+        n, reason = check.breach.position, Ending(check.breach.reason, remedy=_SHORTER)
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
@@ -189,7 +189,7 @@ def _step_check(
     finer = integrate(problem, replace(solver, step_size=step / 2), start)
     if finer.reason == INTERRUPTED:
         return StepCheck(), INTERRUPTED
-    n = min(found.states.shape[1], finer.states.shape[1])
+    n = found.states.shape[1] if finer.reason else min(len(found.time), finer.states.shape[1])
     grid, states = found.time[:n], (found.states[:, :n], finer.states[:, :n])
     check = step_check(problem.dae, grid, *states, step)
     cause = finer_than_steps(found, start.values.p, problem.inputs) if check != StepCheck() else ""
