@@ -145,6 +145,7 @@ def test_fixed_steps_report_what_their_cubics_miss(
     assert reason.time == pytest.approx(begin, abs=error)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("in two states-2", "bump-2", "bump-3", "often-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", MARGINS)
