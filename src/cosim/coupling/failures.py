@@ -141,6 +141,12 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
             f"{noted} jumps as {system.jumps} {every} begin: its course there is left out; give a "
             "shorter macro_step, or accuracy"
         )
+    inside = [n for n, p in wiring.parts.items() if not p.event_mode and p.instance.logged_events]
+    if inside and system.macro_step:
+        notes.append(
+            f"events of {', '.join(inside)} happen within macro steps, so outputs that jump are of "
+            "order 1; use FMI 3.0 with event mode, or give accuracy"
+        )
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")

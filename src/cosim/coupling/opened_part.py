@@ -92,6 +92,8 @@ class OpenedPart:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path)
         fmu.reset_is_enough = is_made_here(path)
+        if fmu.reset_is_enough and Ability.EVENTS not in unused and _exchanges(fmu):
+            fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
@@ -214,6 +216,22 @@ class OpenedPart:
                 names = {variable.name for variable in unknown.dependencies}
                 row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
+
+
+def _exchanges(fmu: OpenedFmu) -> bool:
+    """Tell whether the master integrates a file that was exported here for both interfaces.
+
+    It does so with events of FMI 2.0, whose co-simulation has no event mode. What the file solves
+    by implicit or fixed steps stays with its own solver.
+    """
+    description = fmu.description
+    if not (is_second(description) and description.modelExchange and description.coSimulation):
+        return False
+    switches = any(
+        v.variability == "discrete" and v.type in REALS for v in description.modelVariables
+    )
+    explicit = fmu.contains("sources/integration_dop853.c")
+    return switches and (explicit or description.numberOfContinuousStates == 0)
 
 
 def is_continuous(variable: Any) -> bool:
