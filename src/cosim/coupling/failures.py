@@ -171,6 +171,10 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
     if system.part >= 0 and (system.how == Ending.STUCK or _ZENO in why):
         return str(list(wiring.parts)[system.part])
     vanished = system.how == Ending.STEP_VANISHED
+    if vanished and system.input >= 0:  # an event that is taken back is not logged
+        for ends in (wiring.sources, wiring.inputs):
+            if wiring.parts[ends[system.input][0]].event_mode:
+                return ends[system.input][0]
     for name, part in wiring.parts.items():
         found = dict[str, list[float]]()
         for time, event in part.instance.logged_events if part.event_mode else ():
