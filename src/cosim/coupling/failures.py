@@ -173,11 +173,12 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
     vanished = system.how == Ending.STEP_VANISHED
     if vanished and system.input >= 0:  # an event that is taken back is not logged
         for ends in (wiring.sources, wiring.inputs):
-            if wiring.parts[ends[system.input][0]].event_mode:
-                return ends[system.input][0]
-    for name, part in wiring.parts.items():
+            name = str(ends[system.input][0])
+            if wiring.parts[name].event_mode:
+                return name
+    for name, opened in wiring.parts.items():
         found = dict[str, list[float]]()
-        for time, event in part.instance.logged_events if part.event_mode else ():
+        for time, event in opened.instance.logged_events if opened.event_mode else ():
             found.setdefault(event, []).append(time)
         for times in found.values():
             thrice = zip(times, times[2:], strict=False)
