@@ -13,7 +13,7 @@ from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.text import Violation
 
-_ZENO = "(Zeno)"  # in messages of FMUs made here
+_ENDLESS = ("(Zeno)", "while an expression slides along 0")  # in messages of FMUs made here
 _AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
 _DISCARD = 2
 _STATUSES = {_DISCARD: "discard", 3: "error", 4: "fatal"}
@@ -119,7 +119,7 @@ def failure(
         call += f" returned {system.status} ({status})" if function.startswith("fmi") else " failed"
         why = str(wiring.parts[name].explained(FmuError(call)))
         discards = system.status == _DISCARD and shorter
-        remedy = as_models(wiring) if _ZENO in why else shorter if discards else ""
+        remedy = as_models(wiring) if _is_endless(why) else shorter if discards else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"
     return f"it failed at {time}"
 
@@ -160,6 +160,10 @@ def violations(wiring: Wiring, places: Any) -> Iterator[Violation]:
             yield Violation(one.time, f"{name}: {one.what}")
 
 
+def _is_endless(why: str) -> bool:
+    return any(words in why for words in _ENDLESS)
+
+
 def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
     """Return the part whose events follow each other without end, as where parts slide.
 
@@ -168,7 +172,7 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
         wiring: What is connected.
         why: Why the run failed; empty if it did not.
     """
-    if system.part >= 0 and (system.how == Ending.STUCK or _ZENO in why):
+    if system.part >= 0 and (system.how == Ending.STUCK or any(words in why for words in _ENDLESS)):
         return str(list(wiring.parts)[system.part])
     vanished = system.how == Ending.STEP_VANISHED
     if vanished and system.input >= 0:  # an event that is taken back is not logged
