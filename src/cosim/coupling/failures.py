@@ -172,7 +172,7 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
         wiring: What is connected.
         why: Why the run failed; empty if it did not.
     """
-    if system.part >= 0 and (system.how == Ending.STUCK or any(words in why for words in _ENDLESS)):
+    if system.part >= 0 and (system.how == Ending.STUCK or _is_endless(why)):
         return str(list(wiring.parts)[system.part])
     vanished = system.how == Ending.STEP_VANISHED
     if vanished and system.input >= 0:  # an event that is taken back is not logged
