@@ -253,12 +253,14 @@ class Trajectory:
             if len(distinct) < requested.size:
                 found = replace(found, time=requested, values=found.values[places])
         else:
-            own = self.with_events()  # with rows at events whose values are known
-            doubled = set(own.time[1:][np.diff(own.time) == 0].tolist())
-            breaks = np.array([e.time for e in self.events if e.time not in doubled])
-            values, _ = resample(own.time, own.values, np.atleast_1d(requested), breaks)
-            found = replace(self, time=np.atleast_1d(requested), values=values)
+            found, _ = self.interpolated(np.atleast_1d(requested))
         return found.final if requested.ndim == 0 else found
+
+    def interpolated(self, times: Vector) -> tuple[Trajectory, Vector]:
+        """Return the run between its rows at times (m,), s, and an error estimate by column, SI."""
+        own = self.with_events()  # with rows at events whose values are known
+        found = resample(own.time, own.values, times, np.array([e.time for e in self.events]))
+        return replace(self, time=times, values=found[0]), found[1]
 
     @cached_property
     def curves(self) -> Curves:

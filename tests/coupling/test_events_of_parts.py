@@ -264,7 +264,8 @@ def test_a_part_that_ends_the_run_ends_that_of_the_system(first, method):
 @pytest.mark.parametrize("method", ["iterated", "gauss_seidel"])
 def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tmp_path):
     file = cosim.export_fmu(ending(), tmp_path / "clock.fmu", fmi=2)
-    system = cosim.couple({"plant": mass(), "clock": file}, {"clock.x": "plant.place"})
+    parts, without = {"plant": mass(), "clock": file}, {"clock": "no event mode"}
+    system = cosim.couple(parts, {"clock.x": "plant.place"}, abilities=without)
     exact = cosim.simulate(mass(), solver="dop853", relative_tolerance=1e-12, stop_when="x < 0")
     settings = {"macro_step": 0.01} if method == "gauss_seidel" else {"accuracy": 1e-7}
     run = system.simulate(stop_time=STOP, output_interval=0.05, method=method, **settings)
@@ -278,8 +279,8 @@ def test_a_part_without_event_mode_ends_the_run_as_near_as_steps_come(method, tm
 def test_files_that_jump_within_macro_steps_converge_and_the_interface_error_tells(tmp_path):
     parts, wires = relay()
     exact = cosim.simulate(cosim.couple(parts, wires).dae, solver="dop853")
-    files = {n: cosim.export_fmu(part, tmp_path / f"{n}.fmu") for n, part in parts.items()}  # FMI 2
-    system, errors = cosim.couple({n: str(file) for n, file in files.items()}, wires), []
+    files = {n: str(cosim.export_fmu(part, tmp_path / f"{n}.fmu")) for n, part in parts.items()}
+    system, errors = cosim.couple(files, wires, abilities=dict.fromkeys(files, "no event mode")), []
     for step in (0.005, 0.001):
         run = system.simulate(stop_time=STOP, macro_step=step, method="extrapolated")
         assert run.final["room.count"] == exact.final["room.count"]
@@ -306,7 +307,8 @@ def test_files_of_both_versions_sample_until_the_end(tmp_path):
         for name, (dae, fmi) in parts.items()
     }
     wires = {"plant.u": "e.z", "c.y": "plant.place", "e.w": "c.u"}
-    run = cosim.couple(files, wires).simulate(stop_time=STOP, accuracy=1e-6)
+    system = cosim.couple(files, wires, abilities={"e": "no event mode"})
+    run = system.simulate(stop_time=STOP, accuracy=1e-6)
     assert run.time[-1] == STOP
     assert run.final["c.k"] == 31
     row = int(np.argmin(np.abs(run.time - 1.8)))
@@ -440,8 +442,9 @@ def test_request_and_acknowledgement_at_one_instant_count_once(settings):
 
 def test_the_interface_error_of_given_steps_tells_of_jumps_of_held_inputs(tmp_path):
     parts, wires = sampled()
-    files = {n: str(cosim.export_fmu(p, tmp_path / f"{n}.fmu")) for n, p in parts.items()}  # FMI 2
-    run = cosim.couple(files, wires).simulate(stop_time=STOP, macro_step=0.01, method="iterated")
+    files = {n: str(cosim.export_fmu(p, tmp_path / f"{n}.fmu")) for n, p in parts.items()}
+    system = cosim.couple(files, wires, abilities=dict.fromkeys(files, "no event mode"))
+    run = system.simulate(stop_time=STOP, macro_step=0.01, method="iterated")
     jump = np.abs(np.diff(run["c.u"])).max()
     size = 2 * np.abs(run["c.u"]).max() + 1
     assert run.stats["interface_error"] > jump / size  # 1e-13 before

@@ -132,6 +132,25 @@ def test_accuracy_below_the_noise_of_a_part_is_an_error_that_names_it(tmp_path):
     assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-2)
 
 
+@pytest.mark.parametrize("abilities", [{}, {"canGetAndSetFMUstate": "false"}], ids=["", "fixed"])
+@pytest.mark.parametrize("grid", [0.05, 0.3, 1.0])
+def test_outputs_that_rounding_freezes_in_short_steps_are_an_error(grid, abilities, tmp_path):
+    """Every run of the series gives 1 and 0 for 0.57 and 0.43; before, with estimates of 1e-6."""
+    parts = [foreign_part(tmp_path, "lag", grid=grid, **abilities) for _ in range(2)]
+    for accuracy in (1e-2, 1e-5):
+        with pytest.raises(SolverError, match=r"\.y is constant in \d+ macro steps, and moves"):
+            two_lags(*parts).simulate(accuracy=accuracy)
+
+
+def test_outputs_that_rest_are_no_error(tmp_path):
+    """x' = 1 - x from 0; the holder has one value with any step."""
+    parts = foreign_part(tmp_path, "lag"), foreign_part(tmp_path, "holder")
+    start = {"motor.x": 0.0, "load.x": 1.0}
+    run = two_lags(*parts).simulate(accuracy=1e-6, start_values=start)
+    assert run.final["motor.y"] == pytest.approx(1 - math.exp(-1), abs=1e-6)
+    assert run["load.y"].tolist() == [1.0] * len(run)
+
+
 OWN = "if (fabs(size - 0.02) > 1e-9) return 3"  # as files of others that take no other step
 
 

@@ -64,6 +64,22 @@ def test_wheels_that_start_at_rest_stick_from_the_start(settings):
         np.testing.assert_allclose(run[name], 5 / 0.7 * run.time, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow_rows("10.0-1e-06")
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
+@pytest.mark.parametrize("start", [0.0, 10.0])
+def test_parts_that_stick_as_the_run_begins_are_one_model(start, accuracy):
+    """'The macro steps become too short at 0 s' before: no event was logged that was kept."""
+    slow = cosim.Model("slow", stop_time=1.0)
+    w, u = slow.state("w", "rad/s", start, "speed"), slow.input("u", "rad/s", 0.0, "speed")
+    torque = 30 * ca.sign(u - w)
+    slow.derivative(w, torque / 0.5)
+    slow.output("R", "N.m", -torque, "reaction")
+    parts = {"a": wheel("fast", 0.2, 5.0, start), "b": slow.freeze()}
+    run = cosim.couple(parts, {"a.T": "b.R", "b.u": "a.w"}).simulate(accuracy=accuracy)
+    for name in ("a.w", "b.w"):
+        np.testing.assert_allclose(run[name], start + 5 / 0.7 * run.time, rtol=0, atol=1e-7)
+
+
 def test_sliding_parts_hide_no_unstable_macro_step():
     """Complete before, with 59318 m/s: what is unstable is unstable as one part, too."""
     parts, wires = sliding_wheels()

@@ -114,6 +114,22 @@ def test_other_output_times_are_computed_again_if_possible():
     assert result.note.endswith("the second run is computed again there")
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["values", "times"])
+@pytest.mark.parametrize(("one", "other"), [(201, 301), (301, 201), (301, 50)])
+@pytest.mark.parametrize("jump", [1.0, 1.003])
+def test_other_output_times_are_not_interpolated_across_an_event(jump, one, other, known):
+    """x = t before, and t + 1 after; 0.3 off between rows on either side of the jump before."""
+
+    def saw(n):
+        sides = ({"x": jump}, {"x": jump + 1}) if known else ({}, {})
+        return sampled(n, lambda t: t + (t >= jump), events=(Event(jump, "jump", *sides),))
+
+    result = compare(saw(one), saw(other))
+    assert result.worst.scaled < 1e-14
+    later = compare(saw(one), sampled(other, lambda t: t + (t >= jump + 0.3)))
+    assert later.worst.scaled == pytest.approx(0.1, rel=0.5)  # nominal 10
+
+
 def test_only_the_common_span_is_compared_with_a_note():
     result = compare(sampled(21, stop=2.0), sampled(101, start=0.5, stop=9.5))
     assert "compared at 16 times of the first run, 0.5 ... 2 s" in result.note

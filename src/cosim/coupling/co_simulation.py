@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths, Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
-from cosim.coupling.estimate import OF_A_RUN, changes, estimated_error, reject_noise
+from cosim.coupling.estimate import (
+    OF_A_RUN,
+    changes,
+    estimated_error,
+    frozen_motion,
+    reject_noise,
+    rounding_of,
+)
 from cosim.coupling.failures import (
     EndlessEvents,
     Wiring,
@@ -172,12 +179,14 @@ class CoSimulation:
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
+        made = [self.parts[name].made_here for name, _ in self._wiring.sources]
+        may_freeze = np.array([not any(one) for one in zip(made, self._held, strict=False)], bool)
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
             of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
             try:
-                run, jumps, _ = self._once(task, tolerance, of_parts, tolerance / coarsest)
+                run, jumps, ranges = self._once(task, tolerance, of_parts, tolerance / coarsest)
             except SolverError as error:
                 if last is None or isinstance(error, EndlessEvents):
                     raise
@@ -190,7 +199,7 @@ class CoSimulation:
                 return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
-            rounding = self._rounding(run, sizes, accuracy)
+            rounding = rounding_of(run, sizes, accuracy)
             if last is not None:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
@@ -202,7 +211,9 @@ class CoSimulation:
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
-                    return run
+                    left, few = accuracy - estimate, partial(self._in_few_steps, task)
+                    still = frozen_motion(run, self._wiring.sources, ranges, may_freeze, few, left)
+                    return replace(run, stats={**run.stats, "error_estimate": estimate + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / estimate / 2)
                 before = most
@@ -219,23 +230,12 @@ class CoSimulation:
             partial=run,
         )
 
-    def _rounding(self, run: Trajectory, sizes: Vector, accuracy: float) -> float:
-        """Return the largest rounding of a run, in nominal values.
-
-        Raises:
-            SolverError: It is above the accuracy.
-        """
-        moves = np.ptp(run.values, axis=0) > 0
-        every = np.finfo(float).eps * np.where(moves, np.abs(run.values).max(axis=0), 0) / sizes
-        rounding = float(every.max(initial=0.0))
-        if rounding > accuracy:
-            raise SolverError(
-                f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: double "
-                f"precision carries {run.columns[int(every.argmax())].name} to {rounding:.1g} "
-                "nominal values only; allow a larger error, or give macro_step",
-                partial=run,
-            )
-        return rounding
+    def _in_few_steps(self, task: _Task, steps: int) -> Ranges:
+        """Return the ranges of the inputs in a run of a few steps with constant inputs."""
+        length = (task.settings.stop - task.settings.start) / steps
+        settings = replace(task.settings, macro_step=length, interval=length, accuracy=None)
+        held = replace(task, settings=replace(settings, method=Method.JACOBI))
+        return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 
     def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:
         """Return a run whose macro steps could not be as short as its tolerance wants them.

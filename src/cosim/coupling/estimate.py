@@ -1,15 +1,19 @@
 """`estimated_error`: the error of a coupling, from what tighter tolerances change."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from cosim.arrays import Truths, Vector
-from cosim.errors import SolverError
+from cosim.coupling.stability import Ranges
+from cosim.errors import SolverError, UsageError
 from cosim.trajectory import Trajectory
 
 _FALLS = 0.75  # power of the tolerance with which the error falls; less is on the safe side
 _UNKNOWN = 0.5  # how much of the error is left if no order is known
+_ROUNDED = 1e-12  # of what is constant and passes through loops, of its size
+_FEW_STEPS = (1, 4)  # the second shows what the start does not
 OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
 
 
@@ -69,3 +73,64 @@ def reject_noise(
             "macro_step",
             partial=run,
         )
+
+
+def frozen_motion(
+    run: Trajectory,
+    sources: Sequence[tuple[str, str]],
+    ranges: Ranges,
+    may: Truths,
+    in_few_steps: Callable[[int], Ranges],
+    allowed: float,
+) -> float:
+    """Return by how much an output moves in a few long steps that is constant in short ones.
+
+    A part that rounds its results loses all motion in short steps, whatever the tolerance. The
+    result is in nominal values; 0 if there is no such output.
+
+    Args:
+        run: With the smallest tolerance.
+        sources: Part and output that drive each input.
+        ranges: Of the inputs of the run.
+        may: Whether each input is driven by a continuous output of a part that may round.
+        in_few_steps: Simulates with a number of steps and constant inputs.
+        allowed: The largest motion.
+
+    Raises:
+        SolverError: The motion is larger.
+    """
+    stays = may & (ranges.widths[1] <= _ROUNDED * ranges.sizes)
+    moves = np.zeros(len(stays))
+    for steps in _FEW_STEPS if stays.any() else ():
+        with suppress(SolverError, UsageError):
+            found = in_few_steps(steps)
+            moves = np.maximum(moves, np.where(stays, found.widths[1] / found.sizes, 0))
+    most = float(moves.max(initial=0.0))
+    if most > allowed:
+        name = ".".join(sources[int(moves.argmax())])
+        raise SolverError(
+            f"{run.model}: the coupling does not reach the accuracy: {name} is constant in "
+            f"{run.stats['macro_steps']} macro steps, and moves by {most:.2g} of its size in a few "
+            "long ones: its part may round results; give macro_step",
+            partial=run,
+        )
+    return most
+
+
+def rounding_of(run: Trajectory, sizes: Vector, accuracy: float) -> float:
+    """Return the largest rounding of a run, in nominal values.
+
+    Raises:
+        SolverError: It is above the accuracy.
+    """
+    moves = np.ptp(run.values, axis=0) > 0
+    every = np.finfo(float).eps * np.where(moves, np.abs(run.values).max(axis=0), 0) / sizes
+    rounding = float(every.max(initial=0.0))
+    if rounding > accuracy:
+        raise SolverError(
+            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: double precision "
+            f"carries {run.columns[int(every.argmax())].name} to {rounding:.1g} nominal values "
+            "only; allow a larger error, or give macro_step",
+            partial=run,
+        )
+    return rounding

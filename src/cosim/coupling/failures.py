@@ -13,7 +13,7 @@ from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.text import Violation
 
-_ZENO = "(Zeno)"  # in messages of FMUs made here
+_ENDLESS = ("(Zeno)", "while an expression slides along 0")  # in messages of FMUs made here
 _AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
 _DISCARD = 2
 _STATUSES = {_DISCARD: "discard", 3: "error", 4: "fatal"}
@@ -119,7 +119,7 @@ def failure(
         call += f" returned {system.status} ({status})" if function.startswith("fmi") else " failed"
         why = str(wiring.parts[name].explained(FmuError(call)))
         discards = system.status == _DISCARD and shorter
-        remedy = as_models(wiring) if _ZENO in why else shorter if discards else ""
+        remedy = as_models(wiring) if _is_endless(why) else shorter if discards else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"
     return f"it failed at {time}"
 
@@ -141,6 +141,12 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
             f"{noted} jumps as {system.jumps} {every} begin: its course there is left out; give a "
             "shorter macro_step, or accuracy"
         )
+    inside = [n for n, p in wiring.parts.items() if not p.event_mode and p.instance.logged_events]
+    if inside and system.macro_step:
+        notes.append(
+            f"events of {', '.join(inside)} happen within macro steps, so outputs that jump are of "
+            "order 1; use FMI 3.0 with event mode, or give accuracy"
+        )
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
@@ -154,6 +160,10 @@ def violations(wiring: Wiring, places: Any) -> Iterator[Violation]:
             yield Violation(one.time, f"{name}: {one.what}")
 
 
+def _is_endless(why: str) -> bool:
+    return any(words in why for words in _ENDLESS)
+
+
 def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
     """Return the part whose events follow each other without end, as where parts slide.
 
@@ -162,12 +172,17 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
         wiring: What is connected.
         why: Why the run failed; empty if it did not.
     """
-    if system.part >= 0 and (system.how == Ending.STUCK or _ZENO in why):
+    if system.part >= 0 and (system.how == Ending.STUCK or _is_endless(why)):
         return str(list(wiring.parts)[system.part])
     vanished = system.how == Ending.STEP_VANISHED
-    for name, part in wiring.parts.items():
+    if vanished and system.input >= 0:  # an event that is taken back is not logged
+        for ends in (wiring.sources, wiring.inputs):
+            name = str(ends[system.input][0])
+            if wiring.parts[name].event_mode:
+                return name
+    for name, opened in wiring.parts.items():
         found = dict[str, list[float]]()
-        for time, event in part.instance.logged_events if part.event_mode else ():
+        for time, event in opened.instance.logged_events if opened.event_mode else ():
             found.setdefault(event, []).append(time)
         for times in found.values():
             thrice = zip(times, times[2:], strict=False)

@@ -91,7 +91,9 @@ class OpenedPart:
     ) -> None:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path)
-        fmu.reset_is_enough = is_made_here(path)
+        fmu.reset_is_enough = self.made_here = is_made_here(path)
+        if self.made_here and Ability.EVENTS not in unused and _exchanges(fmu):
+            fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
@@ -115,7 +117,7 @@ class OpenedPart:
         interpolates = Ability.INTERPOLATION not in unused
         second = is_second(fmu.description)
         if interpolates and second and getattr(abilities, "canInterpolateInputs", False):
-            self.order = InputOrder.CUBIC if fmu.reset_is_enough else InputOrder.LINEAR
+            self.order = InputOrder.CUBIC if self.made_here else InputOrder.LINEAR
         events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
         events = events and all(map(is_continuous, self.inputs))  # others change in that mode only
         self.event_mode = exchange or (self.rolls_back and events)
@@ -129,12 +131,7 @@ class OpenedPart:
             self._callback = callback if interpolates else 0
         elif self.event_mode:
             fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
-        if (
-            not exchange
-            and interpolates
-            and fmu.reset_is_enough
-            and asks_for_inputs(fmu.description)
-        ):
+        if not exchange and interpolates and self.made_here and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
             references = Layout.of(self.moving_inputs).references
             fmu.callback["requiredIntermediateVariables"] = references
@@ -214,6 +211,22 @@ class OpenedPart:
                 names = {variable.name for variable in unknown.dependencies}
                 row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
+
+
+def _exchanges(fmu: OpenedFmu) -> bool:
+    """Tell whether the master integrates a file that was exported here for both interfaces.
+
+    It does so with events of FMI 2.0, whose co-simulation has no event mode. What the file solves
+    by implicit or fixed steps stays with its own solver.
+    """
+    description = fmu.description
+    if not (is_second(description) and description.modelExchange and description.coSimulation):
+        return False
+    switches = any(
+        v.variability == "discrete" and v.type in REALS for v in description.modelVariables
+    )
+    explicit = fmu.contains("sources/integration_dop853.c")
+    return switches and (explicit or description.numberOfContinuousStates == 0)
 
 
 def is_continuous(variable: Any) -> bool:

@@ -126,7 +126,7 @@ def resample(
         time: Sample times in increasing order, s, (n,), n > 0.
         values: Samples, (n, columns).
         at: Times within the samples, s, (m,).
-        breaks: Times of further jumps, s: no polynomial holds samples of both sides. A sample at
+        breaks: Times of jumps, s: no polynomial holds samples of both sides. A single sample at
             such a time begins the piece after it.
 
     Returns:
@@ -136,7 +136,8 @@ def resample(
     Raises:
         ParameterError: There is no sample between two breaks around a requested time.
     """
-    breaks = np.empty(0) if breaks is None else np.unique(breaks)
+    twice = time[1:][np.diff(time) == 0]
+    breaks = np.setdiff1d(np.empty(0) if breaks is None else breaks, twice)
     five, three = (_local(time, values, at, points, breaks) for points in (6, 4))
     with np.errstate(invalid="ignore"):  # infinity less infinity
         gap = np.abs(five - three)

@@ -16,7 +16,6 @@ from cosim.model.solver import Tolerance
 from cosim.model.values import number
 from cosim.presenters import presenter
 from cosim.series.samples import NOT_GIVEN
-from cosim.series.samples import resample as interpolated
 from cosim.text import MOST_LINES, html_table, text_table
 from cosim.trajectory import Trajectory
 
@@ -176,7 +175,8 @@ def compare(
         by_nominal: Whether all differences are divided by nominal values, as accuracies are given.
 
     Raises:
-        ParameterError: The bound is not a positive number.
+        ParameterError: The bound is not a positive number, or a run that is interpolated has no row
+            between two events.
         UsageError: The runs have no variable in common, one in another unit, or no time in common;
             or a measurement has nothing but gaps there.
 
@@ -285,8 +285,7 @@ def _on_common_times(
         how = "computed again there"
         resampled = second.at(time)
     else:
-        values, estimate = interpolated(second.time, second.values, time)
-        resampled = replace(second, time=time, values=values)
+        resampled, estimate = second.interpolated(time)
         scaled = max(
             e / first.column(n).nominal for n, e in zip(second.names, estimate, strict=True)
         )

@@ -67,6 +67,10 @@ class OpenedFmu:
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
         self._master: CompiledMaster | None = None
 
+    def contains(self, name: str) -> bool:
+        """Tell whether there is a file of this name in it."""
+        return (self._folder / name).is_file()
+
     def request(self, **keywords: Any) -> FmuRequest:
         """Return a request from keywords of `simulate_fmu`, checked."""
         return FmuRequest.of(self.description, self.interface, self.path, **keywords)
