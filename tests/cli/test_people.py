@@ -2,15 +2,19 @@
 
 import argparse
 import json
+import re
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cosim
-from cosim.cli.main import main
+import cosim.cli
+from cosim.cli.main import command_line, main
 from cosim.cli.options import seconds
 from cosim.cli.tables import show_table
+from cosim.cli.verbs import VERBS
 
 
 def numbers(capsys, line):
@@ -270,3 +274,14 @@ def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["s", "crank_shaft"])
     assert stopped.value.code == 2
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_no_verb_offers_an_option_that_it_does_not_read(verb):
+    folder = Path(cosim.cli.__file__).parent
+    own = (folder / "verbs" / f"{verb}.py").read_text()
+    shared = "".join(path.read_text() for path in folder.glob("*.py"))
+    names = {action.dest for action in command_line().verbs()[verb]._actions}
+    names -= {"help", "info"}  # `cosim cache --info` is its default
+    unread = [n for n in sorted(names) if not re.search(rf'(args\.|"){n}\b', own + shared)]
+    assert unread == []
