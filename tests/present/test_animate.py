@@ -354,6 +354,20 @@ def test_path_that_goes_on_after_the_last_pose_does_not_shrink_the_bodies():
     assert height_in(figure, -2, 2) > 1.6  # measured 1.68
 
 
+def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
+    played = playback(run, run.drawing)
+    pull = played.loads[0]
+    vector = np.tile([1.0, 0.0, 0.0], (len(played.time), 1))
+    vector[:2] = [[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]]
+    peaked = replace(pull, vector=vector)
+    scale = scale_of([replace(played, loads=(peaked,))], None)
+    lengths = [np.linalg.norm(np.subtract(*scale.arrow(peaked, k))) for k in range(3)]
+    longest = 0.5 * scale.pose
+    np.testing.assert_allclose(lengths, [0.0, longest, longest / 4], rtol=1e-12)
+    rest = replace(pull, vector=0 * vector)
+    assert scale_of([replace(played, loads=(rest,))], None).per_unit["N"] == 0.0
+
+
 def test_ghosts_move_with_the_first_run_if_the_camera_follows():
     played = poses_of([{"thetaR_dot": -12.0}, {"thetaR_dot": -16.0}], None, stop_time=4.0)
     apart = played[0].followed()[-1] - played[1].followed()[-1]

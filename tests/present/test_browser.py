@@ -315,3 +315,14 @@ def test_legend_shows_the_values_of_the_present_time(tmp_path):
         return document.querySelector(".u-legend .u-value").textContent;
     """
     assert asked(path, code, tmp_path) == "1 s"
+
+
+def test_a_page_scales_arrows_as_a_picture_does(tmp_path):
+    pytest.importorskip("ziglang")
+    dae = cosim.load("bicycle")  # falls over: its forces have a peak shortly before
+    page_of_falls = animate(dae, tmp_path / "x.html")
+    scaled = "player.scene.actors[0].loads[0].load.per_unit"
+    code = f"location.hash = '#phi_dot=2.5'; {FRAMES} return {scaled}"
+    run = cosim.simulate(dae, start_values={"phi_dot": 2.5})
+    expected = scale_of([playback(run, run.drawing, times=run.time)], None).per_unit["N"]
+    assert asked(page_of_falls, code, tmp_path) == pytest.approx(expected, rel=1e-3)
