@@ -96,6 +96,21 @@ def test_parameters_that_are_start_values_are_shown_as_such():
     assert kinds["length"] == kinds["g"] == "parameter"
 
 
+@pytest.mark.slow
+def test_a_parameter_that_events_use_is_none_that_gives_a_start_value():
+    pytest.importorskip("ziglang")
+    model = cosim.Model("oven", stop_time=1.0)
+    heat = model.state("heat", "1", 0.0, "energy in it")
+    limit, first = (model.parameter(name, "1", 1.0, "a bound") for name in ("limit", "first"))
+    on = model.discrete("on", "1", 0.0, "whether it heats")
+    model.start(on, limit + first > 1.5, "it heats if a bound is large")
+    model.derivative(heat, on)
+    model.when(heat > limit, {on: 0}, name="hot")
+    facts = facts_of(animate(model.freeze()).page)
+    kinds = {setting["name"]: setting["kind"] for setting in facts["live"]["settings"]}
+    assert (kinds["limit"], kinds["first"]) == ("parameter", "start")
+
+
 def test_only_a_page_computes(tmp_path):
     with pytest.raises(UsageError, match=r"only a page computes; name an \.html file, not \.png"):
         animate(cosim.load("crank_shaft"), tmp_path / "x.png")

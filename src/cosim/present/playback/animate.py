@@ -339,7 +339,9 @@ def _start_settings(dae: Dae, run: Trajectory, variables: dict[str, dict[str, An
     parameters are used for nothing else than start values.
     """
     used = {s.name() for s in ca.symvar(ca.vertcat(dae.ode, dae.alg, dae.outputs))}
-    used |= {s.name() for expression, _ in dae.limits for s in ca.symvar(expression)}
+    later = [expression for expression, _ in dae.limits]
+    later += [part for event in dae.events for part in (event.condition, event.values)]
+    used |= {s.name() for expression in later for s in ca.symvar(expression)}
     for rule in dae.start_rules:
         for symbol in ca.symvar(rule.expression):
             if symbol.name() not in used and "value" in (facts := variables.get(symbol.name(), {})):
