@@ -15,6 +15,7 @@ from cosim.cli.main import command_line, main
 from cosim.cli.options import seconds
 from cosim.cli.tables import show_table
 from cosim.cli.verbs import VERBS
+from cosim.cli.verbs.export import _options
 
 
 def numbers(capsys, line):
@@ -285,3 +286,10 @@ def test_no_verb_offers_an_option_that_it_does_not_read(verb):
     names -= {"help", "info"}  # `cosim cache --info` is its default
     unread = [n for n in sorted(names) if not re.search(rf'(args\.|"){n}\b', own + shared)]
     assert unread == []
+
+
+def test_versions_of_fmi_are_written_as_the_standard_does_too():
+    args = [
+        command_line().parse_args(["export", "bicycle", "--fmi", text]) for text in ("3.0", "3")
+    ]
+    assert [_options(each, "bicycle")["fmi"] for each in args] == [3, 3]
