@@ -293,3 +293,11 @@ def test_versions_of_fmi_are_written_as_the_standard_does_too():
         command_line().parse_args(["export", "bicycle", "--fmi", text]) for text in ("3.0", "3")
     ]
     assert [_options(each, "bicycle")["fmi"] for each in args] == [3, 3]
+
+
+def test_cost_of_a_run_is_printed_with_four_digits(capsys, tmp_path):
+    words = ["simulate", "crank_shaft", *SHORT, "-v", "-o", str(tmp_path / "a.csv")]
+    assert main(words) == 0
+    printed = capsys.readouterr().err
+    assert re.search(r"solve_time [\d.e-]+, ", printed)
+    assert not re.search(r"[1-9]\d{4}", printed)
