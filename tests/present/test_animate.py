@@ -382,6 +382,8 @@ def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
     np.testing.assert_allclose(lengths, [0.0, longest, longest / 4], rtol=1e-12)
     rest = replace(pull, vector=0 * vector)
     assert scale_of([replace(played, loads=(rest,))], None).per_unit["N"] == 0.0
+    ghost = replace(played, loads=())  # of a run that did not record the loads
+    assert scale_of([replace(played, loads=(peaked,)), ghost], None).per_unit == scale.per_unit
 
 
 def test_ghosts_move_with_the_first_run_if_the_camera_follows():

@@ -189,7 +189,7 @@ _OTHER_NAMES = {
     "--delete": ("--clear",),
 }
 _OTHER_VERBS = {"run": "simulate", "compare": "crosscheck", "validate": "check"}
-_FORMULA = re.compile(r"[<>=?:&|+*/-]+")  # a word that is an operator, or begins with one
+_OPERATOR = re.compile(r"[<>=?:&|+*/-]+")
 _NUMBER_AND_UNIT = re.compile(r"(?:.*=)?[-+]?[\d.]+ [A-Za-z][\w./*^]*")
 
 
@@ -201,7 +201,7 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
         return f"; write a list without blanks: {before}{word}"
     if _NUMBER_AND_UNIT.fullmatch(f"{before} {word}"):
         return f"; write the unit without a blank: {before}{word}"
-    if _FORMULA.fullmatch(word):
+    if _OPERATOR.fullmatch(word):
         return "; write no blanks around it, or put it all in quotes"
     if "=" in word and not word.startswith("-"):
         return f"; repeat the option: -p {word}"

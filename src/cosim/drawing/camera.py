@@ -155,13 +155,12 @@ def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
     """Return the load of the longest arrow by unit, SI: the largest one, short peaks aside."""
     found = {}
     for unit in dict.fromkeys(load.unit for run in runs for load in run.loads):
-        of_runs = [
-            np.max([load.sizes(run.valid) for load in run.loads if load.unit == unit], axis=0)
-            for run in runs
-        ]
-        sizes = np.concatenate(of_runs)
-        usual = float(np.median(sizes[sizes > 0])) if sizes.any() else 0.0
-        found[unit] = min(float(sizes.max(initial=0.0)), PEAK * usual)
+        sizes = []
+        for run in runs:
+            loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
+            sizes += np.max(loads, axis=0).tolist() if loads else []
+        acting = [size for size in sizes if size > 0] or [0.0]
+        found[unit] = min(max(acting), PEAK * float(np.median(acting)))
     return found
 
 
