@@ -155,7 +155,7 @@ def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
     """Return the load of the longest arrow by unit, SI: the largest one, short peaks aside."""
     found = {}
     for unit in dict.fromkeys(load.unit for run in runs for load in run.loads):
-        sizes = []
+        sizes: list[float] = []
         for run in runs:
             loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
             sizes += np.max(loads, axis=0).tolist() if loads else []
