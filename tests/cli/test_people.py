@@ -2,15 +2,20 @@
 
 import argparse
 import json
+import re
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cosim
-from cosim.cli.main import main
+import cosim.cli
+from cosim.cli.main import command_line, main
 from cosim.cli.options import seconds
 from cosim.cli.tables import show_table
+from cosim.cli.verbs import VERBS
+from cosim.cli.verbs.export import _options
 
 
 def numbers(capsys, line):
@@ -270,3 +275,30 @@ def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["s", "crank_shaft"])
     assert stopped.value.code == 2
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_no_verb_offers_an_option_that_it_does_not_read(verb):
+    folder = Path(cosim.cli.__file__).parent
+    own = (folder / "verbs" / f"{verb}.py").read_text()
+    shared = "".join(path.read_text() for path in folder.glob("*.py"))
+    actions = command_line().verbs()[verb]._actions
+    names = {a.dest for a in actions if "this verb has none" not in str(a.help)}
+    names -= {"help", "info"}  # `cosim cache --info` is its default
+    unread = [n for n in sorted(names) if not re.search(rf'(args\.|"){n}\b', own + shared)]
+    assert unread == []
+
+
+def test_versions_of_fmi_are_written_as_the_standard_does_too():
+    args = [
+        command_line().parse_args(["export", "bicycle", "--fmi", text]) for text in ("3.0", "3")
+    ]
+    assert [_options(each, "bicycle")["fmi"] for each in args] == [3, 3]
+
+
+def test_cost_of_a_run_is_printed_with_four_digits(capsys, tmp_path):
+    words = ["simulate", "crank_shaft", *SHORT, "-v", "-o", str(tmp_path / "a.csv")]
+    assert main(words) == 0
+    printed = capsys.readouterr().err
+    assert re.search(r"solve_time [\d.e-]+, ", printed)
+    assert not re.search(r"[1-9]\d{4}", printed)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -310,3 +311,34 @@ def test_temporary_files_of_a_compiler_are_removed(cache, script, tmp_path, monk
     with pytest.raises(MissingTool):
         cached_library("key", lambda: CODE)
     assert (names(cache), names(theirs)) == ([], [])
+
+
+# -- The compiler in ziglang -----------------------------------------------------------------------
+
+needs_zig = pytest.mark.skipif(find_spec("ziglang") is None, reason="no ziglang")
+ZIG = (sys.executable, "-m", "ziglang", "cc")
+
+
+@needs_zig
+@pytest.mark.skipif(sys.platform == "win32", reason="needs the runtime library there")
+def test_bundled_compiler_builds_its_runtime_library_only_for_code_that_needs_it(
+    tmp_path, monkeypatch
+):
+    built = tmp_path / "zig"
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(built))
+    source = tmp_path / "code.c"
+    source.write_text(CODE)
+    compile_library([source], tmp_path / "code.so", command=ZIG)
+    assert ctypes.CDLL(str(tmp_path / "code.so")).answer() == 42
+    assert not [*built.rglob("*compiler_rt*")]
+
+
+@needs_zig
+@pytest.mark.slow
+def test_code_that_needs_the_runtime_library_of_the_bundled_compiler_gets_it(tmp_path):
+    source = tmp_path / "code.c"
+    source.write_text(
+        "int answer(int n) { return (int)(((unsigned __int128)84 << 90) / n >> 90); }"
+    )
+    compile_library([source], tmp_path / "code.so", command=ZIG)
+    assert ctypes.CDLL(str(tmp_path / "code.so")).answer(2) == 42

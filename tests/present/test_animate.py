@@ -96,6 +96,21 @@ def test_parameters_that_are_start_values_are_shown_as_such():
     assert kinds["length"] == kinds["g"] == "parameter"
 
 
+@pytest.mark.slow
+def test_a_parameter_that_events_use_is_none_that_gives_a_start_value():
+    pytest.importorskip("ziglang")
+    model = cosim.Model("oven", stop_time=1.0)
+    heat = model.state("heat", "1", 0.0, "energy in it")
+    limit, first = (model.parameter(name, "1", 1.0, "a bound") for name in ("limit", "first"))
+    on = model.discrete("on", "1", 0.0, "whether it heats")
+    model.start(on, limit + first > 1.5, "it heats if a bound is large")
+    model.derivative(heat, on)
+    model.when(heat > limit, {on: 0}, name="hot")
+    facts = facts_of(animate(model.freeze()).page)
+    kinds = {setting["name"]: setting["kind"] for setting in facts["live"]["settings"]}
+    assert (kinds["limit"], kinds["first"]) == ("parameter", "start")
+
+
 def test_only_a_page_computes(tmp_path):
     with pytest.raises(UsageError, match=r"only a page computes; name an \.html file, not \.png"):
         animate(cosim.load("crank_shaft"), tmp_path / "x.png")
@@ -353,6 +368,22 @@ def test_path_that_goes_on_after_the_last_pose_does_not_shrink_the_bodies():
     figure = draw_pose(played, [0, 1, 2], follow="")
     figure.canvas.draw()  # without an overflow of the texts
     assert height_in(figure, -2, 2) > 1.6  # measured 1.68
+
+
+def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
+    played = playback(run, run.drawing)
+    pull = played.loads[0]
+    vector = np.tile([1.0, 0.0, 0.0], (len(played.time), 1))
+    vector[:2] = [[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]]
+    peaked = replace(pull, vector=vector)
+    scale = scale_of([replace(played, loads=(peaked,))], None)
+    lengths = [np.linalg.norm(np.subtract(*scale.arrow(peaked, k))) for k in range(3)]
+    longest = 0.5 * scale.pose
+    np.testing.assert_allclose(lengths, [0.0, longest, longest / 4], rtol=1e-12)
+    rest = replace(pull, vector=0 * vector)
+    assert scale_of([replace(played, loads=(rest,))], None).per_unit["N"] == 0.0
+    ghost = replace(played, loads=())  # of a run that did not record the loads
+    assert scale_of([replace(played, loads=(peaked,)), ghost], None).per_unit == scale.per_unit
 
 
 def test_ghosts_move_with_the_first_run_if_the_camera_follows():

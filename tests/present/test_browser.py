@@ -1,11 +1,14 @@
 """Pages in a browser: bodies stand where the run says, sliders compute, nothing is requested."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.browser import CHROMIUM, opened
 from helpers.scenes import spinning
 
 import cosim
+from casadi_models.dae import Drawing
 from cosim.drawing.camera import Camera, View, camera_for, scale_of
 from cosim.present.playback.animate import animate
 from cosim.present.playback.page import DISTANCE, page
@@ -264,6 +267,15 @@ def test_message_of_a_page_without_bodies_does_not_cover_its_title(tmp_path):
     assert asked(path, code, tmp_path) == [True, True]
 
 
+def test_a_page_without_bodies_leaves_no_room_for_them_on_a_phone(tmp_path):
+    pytest.importorskip("websockets")
+    run = cosim.simulate(cosim.load("bar_on_frame"), stop_time=1.0, compiled=False)
+    path = animate(replace(run, drawing=Drawing()), tmp_path / "x.html")
+    with opened(path, tmp_path, (390, 844)) as page:
+        height = page.ask("return document.getElementById('stage').offsetHeight")
+    assert 0 < height < 84  # px, a tenth of the screen; measured 30
+
+
 def test_numbers_and_units_of_sliders_fit(tmp_path):
     pytest.importorskip("ziglang")
     path = animate(cosim.load("bar_on_frame"), tmp_path / "x.html")
@@ -315,3 +327,14 @@ def test_legend_shows_the_values_of_the_present_time(tmp_path):
         return document.querySelector(".u-legend .u-value").textContent;
     """
     assert asked(path, code, tmp_path) == "1 s"
+
+
+def test_a_page_scales_arrows_as_a_picture_does(tmp_path):
+    pytest.importorskip("ziglang")
+    dae = cosim.load("bicycle")  # falls over: its forces have a peak shortly before
+    page_of_falls = animate(dae, tmp_path / "x.html")
+    scaled = "player.scene.actors[0].loads[0].load.per_unit"
+    code = f"location.hash = '#phi_dot=2.5'; {FRAMES} return {scaled}"
+    run = cosim.simulate(dae, start_values={"phi_dot": 2.5})
+    expected = scale_of([playback(run, run.drawing, times=run.time)], None).per_unit["N"]
+    assert asked(page_of_falls, code, tmp_path) == pytest.approx(expected, rel=1e-3)

@@ -6,7 +6,7 @@ from helpers.scenes import spinning
 
 import cosim
 from cosim.errors import UsageError
-from cosim.present.playback.playback import frame_times, playback
+from cosim.present.playback.playback import frame_times, playback, usual_speed
 
 
 @pytest.mark.parametrize("rate", [1.0, 20.0, 90.0, 80 * np.pi, 400.0])
@@ -87,3 +87,30 @@ def test_camera_follows_along_the_ground_only():
     assert not played.followed("").any()
     with pytest.raises(UsageError, match="no body 'cart' to follow; there are rear wheel"):
         played.followed("cart")
+
+
+@pytest.mark.parametrize(
+    ("span", "turn_rate", "expected"),
+    [
+        (20.0, 0.0, 1.0),
+        (20.0, 15.4, 1.0),  # the bicycle's wheels
+        (4.0, 90.0, 0.2),  # the crank shaft; 0.21 would be three turns a second
+        (4.0, 6 * np.pi, 1.0),
+        (4.0, 6.1 * np.pi, 0.5),
+        (10.0, 1e4, 0.5),  # however fast a body turns, the playback lasts 20 s
+        (0.03, 0.0, 0.01),
+        (2.0, 0.0, 1.0),
+        (0.0, 0.0, 1.0),
+        (60.0, 1.0, 1.0),
+        (61.0, 400.0, 2.0),
+        (4e10, 0.0, 1e9),
+    ],
+)
+def test_usual_speed_lets_eyes_follow(span, turn_rate, expected):
+    assert usual_speed(span, turn_rate) == pytest.approx(expected)
+
+
+def test_a_fast_crank_is_played_slowly_and_a_chosen_speed_counts():
+    run = cosim.simulate(spinning(90.0), stop_time=4.0, compiled=False)
+    assert playback(run, run.drawing).speed == pytest.approx(0.2)
+    assert playback(run, run.drawing, speed=1.0).speed == 1.0

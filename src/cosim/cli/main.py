@@ -6,6 +6,7 @@ import argparse
 import errno
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -43,7 +44,9 @@ class CommandLine(Parser):
             if len(fitting) > 1:
                 self.error(f"several verbs begin with '{words[0]}': {', '.join(fitting)}")
             if not fitting:
-                self.error(f"there is no verb '{words[0]}'{did_you_mean(words[0], VERBS)}")
+                other = _OTHER_VERBS.get(words[0])
+                hint = f"; write {other}" if other else did_you_mean(words[0], VERBS)
+                self.error(f"there is no verb '{words[0]}'{hint}")
             words[:1] = fitting
         return super().parse_known_args(words, namespace)
 
@@ -172,7 +175,7 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
     args, unknown = parser.parse_known_args(words)
     if unknown:  # argparse itself would name the help of all verbs
         message = f"cosim {args.verb}: cannot take '{unknown[0]}'"
-        message += _hint(unknown[0], words, parser.verbs()[args.verb].options())
+        message += _hint(unknown[0], words, parser.verbs()[args.verb])
         Parser().exit(2, f"{message}; see: cosim {args.verb} --help\n")
     return args
 
@@ -180,19 +183,34 @@ def _parsed(words: Sequence[str]) -> argparse.Namespace:
 _OTHER_NAMES = {
     "--sweep": ("--along",),
     "--inputs": ("--input-file", "--input"),  # the keyword of Python's calls
+    "--parameters": ("--by", "--free", "-p"),
+    "--rtol": ("--relative-tolerance",),
+    "--atol": ("--absolute-tolerance",),
+    "--delete": ("--clear",),
 }
+_OTHER_VERBS = {"run": "simulate", "compare": "crosscheck", "validate": "check"}
+_OPERATOR = re.compile(r"[<>=?:&|+*/-]+")
+_NUMBER_AND_UNIT = re.compile(r"(?:.*=)?[-+]?[\d.]+ [A-Za-z][\w./*^]*")
 
 
-def _hint(word: str, words: Sequence[str], options: Sequence[str]) -> str:
+def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     """Return what to write instead of a word that a verb does not take."""
-    before = words[words.index(word) - 1] if word in words[1:] else ""
+    options = verb.options()
+    option, before = ["", "", *words][words.index(word) :][:2] if word in words else ("", "")
     if before.endswith(","):
         return f"; write a list without blanks: {before}{word}"
+    if _NUMBER_AND_UNIT.fullmatch(f"{before} {word}"):
+        return f"; write the unit without a blank: {before}{word}"
+    if _OPERATOR.fullmatch(word):
+        return "; write no blanks around it, or put it all in quotes"
     if "=" in word and not word.startswith("-"):
         return f"; repeat the option: -p {word}"
     name = word.partition("=")[0]
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
+    lists = (a.option_strings for a in verb._actions if str(a.metavar).startswith("A,B"))
+    if any(option in names for names in lists) and not word.startswith("-"):
+        return f"; write a list with commas: {before},{word}"
     return did_you_mean(name, options)
 
 

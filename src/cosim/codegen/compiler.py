@@ -51,6 +51,10 @@ _HIDE_SYMBOLS = ("-fvisibility=hidden", "-DGCC_HASCLASSVISIBILITY")  # except th
 # -ffp-contract=off; the second option switches off its vectorizer for such code.
 _APART = ("-ffp-contract=off", "-fno-tree-slp-vectorize")
 
+# The bundled compiler first builds its own runtime library, which takes 8 s for each processor and
+# which arithmetic with doubles does not need: without it, and with every missing function an error.
+_NO_RUNTIME = ("-rtlib=none", "-Wl,-z,defs")
+
 _SPENT: ContextVar[float] = ContextVar("time_compiling", default=0.0)  # s
 
 # A second process waits for a pipe that closes when the caller ends, even by SIGKILL.
@@ -105,6 +109,11 @@ def has_compiler() -> bool:
     return True
 
 
+def is_bundled(command: Sequence[str]) -> bool:
+    """Tell whether a command is the compiler in `ziglang`, or the same one installed otherwise."""
+    return any(Path(word).stem.startswith("zig") for word in command)
+
+
 def where_compilers_are() -> tuple[str, ...]:
     """Return the environment variables that determine the compiler."""
     return tuple(os.environ.get(name, "") for name in ("CC", "PATH"))
@@ -135,14 +144,17 @@ def compile_library(
     libraries: tuple[str, ...] = ("-lm",)
     if target.suffix == ".wasm":  # a program without `main`
         flags = tuple(flag for flag in FLAGS if flag != "-shared")
-    elif sys.platform == "win32" and "ziglang" not in compiler:  # Clang rejects both there
+    elif sys.platform == "win32" and not is_bundled(compiler):  # Clang rejects both there
         flags, libraries = tuple(flag for flag in FLAGS if flag != "-fPIC"), ()
     arguments = [*flags, *(f"-I{folder}" for folder in include), *options]
     if any(_LEVEL.fullmatch(word) for word in compiler):
         arguments = [word for word in arguments if not _LEVEL.fullmatch(word)]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
-        failed, output = _output_of(call, target.parent, halted)
+        quick = is_bundled(compiler) and target.suffix in (".so", ".dylib")
+        failed, output = _output_of([*call, *_NO_RUNTIME * quick], target.parent, halted)
+        if failed and quick:
+            failed, output = _output_of(call, target.parent, halted)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(
             f"{call[0]} was stopped after {TIMEOUT} s; use another compiler (CC=...), or {_HOW}"

@@ -15,6 +15,7 @@ from cosim.drawing.pose import Load, Poses
 from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
+PEAK = 4.0  # times the usual load of a unit that an arrow shows; larger ones are as long
 HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
 OUTWARD = np.array([*product((-1, 0, 1), repeat=3)])  # outermost points are sought along these
 _LONG_PATH = 2.0  # extent of a path that is shown as a whole, over that of the poses
@@ -97,8 +98,8 @@ class Scale:
     def arrow(self, load: Load, frame: int) -> tuple[Vector, Vector]:
         """Return both ends of an arrow: its length is the load times one scale for its unit.
 
-        Loads outside the validity range may be of any size: no arrow is longer than the longest
-        valid one.
+        Short peaks and loads outside the validity range may be of any size: no arrow is longer
+        than `LONGEST_ARROW`.
         """
         start, along = load.at[frame], self.per_unit[load.unit] * load.vector[frame]
         length = float(np.linalg.norm(along))
@@ -128,10 +129,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         pose = max(pose, float(np.ptp(cloud, axis=1).max()) / 2)
         points.append(cloud.reshape(-1, 3))
     poses = np.concatenate(points)
-    largest: dict[str, float] = {}
-    for run in runs:
-        for load in run.loads:
-            largest[load.unit] = max(largest.get(load.unit, 0.0), load.largest(run.valid))
+    largest = _largest_loads(runs)
     longest = LONGEST_ARROW * (pose or 1.0)
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
     first, shift = runs[0], runs[0].followed(follow)
@@ -151,6 +149,19 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         per_unit=per_unit,
         cell=0.5 * float(10.0 ** np.round(np.log10(pose or 1.0))),
     )
+
+
+def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
+    """Return the load of the longest arrow by unit, SI: the largest one, short peaks aside."""
+    found = {}
+    for unit in dict.fromkeys(load.unit for run in runs for load in run.loads):
+        sizes: list[float] = []
+        for run in runs:
+            loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
+            sizes += np.max(loads, axis=0).tolist() if loads else []
+        acting = [size for size in sizes if size > 0] or [0.0]
+        found[unit] = min(max(acting), PEAK * float(np.median(acting)))
+    return found
 
 
 def _framed_paths(run: Poses, reach: float) -> Iterator[Vector]:

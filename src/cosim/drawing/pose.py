@@ -60,9 +60,10 @@ class Load:
     meaning: str
     color: str
 
-    def largest(self, frames: Truths) -> float:
-        """Return the largest magnitude at some of the frames, SI."""
-        return float(np.linalg.norm(self.vector[frames], axis=1).max(initial=0.0))
+    def sizes(self, frames: Truths) -> Vector:
+        """Return the magnitudes at some of the frames, SI."""
+        sizes: Vector = np.linalg.norm(self.vector[frames], axis=1)
+        return sizes
 
     def shown(self, magnitude: float) -> str:
         """Return a magnitude in the display unit, as text."""
@@ -98,6 +99,7 @@ class Poses:
         labels: (name, display unit, values (n,)) of the variables written beside the picture.
         invalid_from: Time from which the run is outside its validity range, s; infinite if never.
         reasons: Why, one sentence each; or why the simulation stopped early.
+        speed: Seconds of the run in a second of playback.
     """
 
     time: Vector
@@ -113,6 +115,7 @@ class Poses:
     labels: tuple[tuple[str, str, Vector], ...] = ()
     invalid_from: float = inf
     reasons: tuple[str, ...] = ()
+    speed: float = 1.0
 
     def followed(self, follow: str | None = None) -> Vector:
         """Return how far the camera moves along with a body, m, (n, 3).

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from cosim.codegen.compiler import is_bundled
 from cosim.errors import ExportError, MissingTool, UnknownName
 
 _TABLES = tomllib.loads(Path(__file__).with_name("platforms.toml").read_text(encoding="utf-8"))
@@ -60,7 +61,7 @@ class Target:
     def options(self, library: str, compiler: Sequence[str]) -> tuple[str, ...]:
         """Return the compiler's options for a library of this name that runs on every processor."""
         name = (f"-Wl,-install_name,@rpath/{library}",) if self.system == "darwin" else ()
-        bundled = any(Path(word).stem.startswith("zig") for word in compiler)
+        bundled = is_bundled(compiler)
         processors = [_TABLES["baselines"]["zig" if bundled else self.processor]]
         if self.system == "darwin" and self.processor == "aarch64" and not bundled:
             processors = []  # whose first of the kind is what Apple's compiler takes

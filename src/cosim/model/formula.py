@@ -35,6 +35,12 @@ _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
 }
 _LOGIC = "write `and` for & and `or` for |"
 _CHOOSE = "write where(t > 1, 2, 0): the condition, the value if it holds, and the other one"
+_REMEDIES = {  # by what a text that is no formula contains
+    r"\bif\b|\?": _CHOOSE,
+    r"&&|\|\|": _LOGIC,
+    r"(?<![=<>!])=(?!=)": "write <, > or, for discrete variables, == between two values",
+    r"(?<!\w)[\d.]+\s*[A-Za-z(]": "write * between factors, as in 2*sin(t)",
+}
 _OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step")
 _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -113,10 +119,9 @@ def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, st
         with _shallow(owner, text):
             return ast.parse(plain.strip(), mode="eval").body
     except (SyntaxError, ValueError) as error:
-        if re.search(r"\bif\b", plain):
-            raise ParameterError(f"{owner}: '{text}' is no formula; {_CHOOSE}") from None
-        if "&&" in plain or "||" in plain:
-            raise ParameterError(f"{owner}: '{text}' is no formula; {_LOGIC}") from None
+        for found, remedy in _REMEDIES.items():
+            if re.search(found, plain):
+                raise ParameterError(f"{owner}: '{text}' is no formula; {remedy}") from None
         raise ParameterError(
             f"{owner}: '{text}' is no formula ({getattr(error, 'msg', error)}); write it as in "
             "Python, e.g. 10*sin(2*pi*t)"
@@ -226,6 +231,10 @@ class _Reader:
     def refusal(self, node: ast.expr) -> ParameterError:
         if any(isinstance(part, ast.BitAnd | ast.BitOr) for part in ast.walk(node)):
             return ParameterError(f"{self.owner}: '{self.text}' is not understood; {_LOGIC}")
+        called = node.func if isinstance(node, ast.Call) else None
+        if isinstance(called, ast.Attribute) and called.attr in _FUNCTIONS:
+            remedy = f"write {called.attr}(...) instead of {ast.unparse(called)}(...)"
+            return ParameterError(f"{self.owner}: '{self.text}' is not understood; {remedy}")
         return ParameterError(
             f"{self.owner}: '{ast.unparse(node)}' in '{self.text}' is not understood; use numbers, "
             f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"

@@ -55,15 +55,15 @@ def quantity(
     if target is None:  # neither known nor defined
         raise ParameterError(f"{given}: give a number in {unit}, without a unit")
     source = own.get(written) or parse_unit(written, like=target)
-    if source is None:
+    if source is None or not source.measures_like(target):
+        reason = f"unit '{written}' is unknown"
+        if source is not None:
+            reason = f"'{written}' cannot be converted to '{unit}': not the same kind of unit"
         fitting = ", ".join(
             [known for known, one in UNITS.items() if one.measures_like(target)]
             or [known for known, one in MORE.items() if one.measures_like(target)]
         )
-        raise ParameterError(f"{given}: unit '{written}' is unknown; fitting: {fitting}")
-    if not source.measures_like(target):
-        reason = f"'{written}' cannot be converted to '{unit}': not the same kind of unit"
-        raise ParameterError(f"{given}: {reason}")
+        raise ParameterError(f"{given}: {reason}; fitting: {fitting}")
     if difference:
         source, target = source.difference(), target.difference()
     number: float = converted(value, source, target)

@@ -200,7 +200,7 @@ def test_fmu_is_fitted_by_finite_differences(tmp_path):
     ("changed", "error", "text"),
     [
         ({"parameters": {"kk": None}}, UnknownName, "did you mean k"),
-        ({"parameters": {}}, UsageError, "nothing is unknown"),
+        ({"parameters": {}}, UsageError, "nothing is unknown; name what to fit: parameters="),
         ({"parameters": "k"}, UsageError, "parameters"),
         ({"parameters": {"k": (2.0, 1.0)}}, ParameterError, r"give \(low, high\)"),
         ({"parameters": {"k": np.nan}}, ParameterError, "not finite"),

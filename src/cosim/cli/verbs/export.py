@@ -50,11 +50,11 @@ def _export_system(args: argparse.Namespace) -> int:
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:
     """Return the options of the export, checked where they are choices."""
-    UnknownName.reject("cosim export", "FMI version", ("2", "3"), args.fmi)
+    UnknownName.reject("cosim export", "FMI version", ("2", "3"), args.fmi.removesuffix(".0"))
     UnknownName.reject("cosim export", "reference", ("auto", "none"), args.reference)
     about = {name: getattr(args, name) for name in ("author", "license", "date")}
     options: FmuKeywords = {
-        "fmi": int(args.fmi),
+        "fmi": int(float(args.fmi)),
         "identifier": name,
         "solver": args.fmu_solver,
         "step_size": args.fmu_step_size,

@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
     if args.verbose:
         for line in scene.request.reduced().dae.report if scene else ():
             print(line, file=sys.stderr)
-        print(", ".join(f"{key} {value}" for key, value in run.stats.items()), file=sys.stderr)
+        facts = ((k, f"{v:.4g}" if isinstance(v, float) else v) for k, v in run.stats.items())
+        print(", ".join(f"{key} {value}" for key, value in facts), file=sys.stderr)
     return code
 
 

@@ -87,9 +87,9 @@ def _range(subject: Subject, name: str, text: str) -> Any:
     if call := _DISTRIBUTION.fullmatch(text):
         return _distribution(subject, name, call[1], call[2].split(","))
     parts = text.split(":")
-    numbers = tuple(_si_value(subject, name, part) for part in parts)
-    if len(numbers) > 2:
+    if len(parts) > 2 or "," in text:
         raise UsageError(f"-p {name}={text}: a design needs A:B, a distribution, or one value")
+    numbers = tuple(_si_value(subject, name, part) for part in parts)
     return numbers[0] if len(numbers) == 1 else numbers
 
 

@@ -21,7 +21,6 @@ from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import temporary_folder
 
 _INCLUDED = re.compile(rb'^#include "(.+\.c)"', re.MULTILINE)
-_LONG = 200_000  # characters; longer code is made 6 % smaller, and at most 4 % slower
 
 
 def binaries(
@@ -72,8 +71,6 @@ def compiled_library(
     given = target.command()
     command = given or find_compiler()
     options = target.options(library, command)
-    if max(map(len, sources.values())) > _LONG:
-        options = (*options, "-Os")
     maker = version("ziglang") if given else ""
     digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
     for file in sorted(sources):

@@ -95,7 +95,7 @@ def animate(
     labels: Sequence[str] = (),
     view: View | str = View.ISO,
     follow: str | None = None,
-    speed: float = 1.0,
+    speed: float | None = None,
     size: tuple[float, float] = SIZE,
     dpi: int = 120,
 ) -> Path | Animation:
@@ -114,7 +114,9 @@ def animate(
         view: Where the camera is at first: "iso", "front", "side" or "top".
         follow: Body that stays in the middle; the model's own choice if None, "" for a camera at
             rest.
-        speed: Seconds of the run in a second of playback.
+        speed: Seconds of the run in a second of playback; if None, 1 or what eyes can
+            follow: less if a body turns more than three times a second; the playback lasts 2 to
+            60 s.
         size: Width and height of pictures and movies, inches.
         dpi: Dots per inch of pictures and movies.
 
@@ -136,8 +138,7 @@ def animate(
     live = runs if isinstance(runs, Dae) else None
     kind = AnimationFormat.HTML if target is None else animation_format(target)
     look: dict[str, Any] = {"view": choice(View, "view", view), "follow": follow}
-    speed = number("animate", "speed", speed)
-    if not speed > 0:
+    if speed is not None and not (speed := number("animate", "speed", speed)) > 0:
         raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
     if at is not None and not kind.still:
         raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
@@ -147,7 +148,7 @@ def animate(
     times = None
     if kind.still:
         times = [float(time) for time in (shown[0].time[:1] if at is None else at)]
-    rate = {"frames_per_second": kind.frames_per_second, "speed": speed}
+    rate: dict[str, Any] = {"frames_per_second": kind.frames_per_second, "speed": speed}
     played: list[Poses] = []
     for run in shown:
         if played:
@@ -165,12 +166,12 @@ def animate(
         content = picture(still, kind, dpi)
     elif kind is AnimationFormat.HTML:
         solver = None if live is None else live_part(live, shown[0])
-        page = Animation(html_page(played, shown, speed=speed, live=solver, **look))
+        page = Animation(html_page(played, shown, live=solver, **look))
         if target is None:
             return page
         content = page.page.encode()
     else:
-        content = movie(played, kind, speed=speed, size=size, dpi=dpi, **look)
+        content = movie(played, kind, size=size, dpi=dpi, **look)
     assert target is not None
     return write_atomically(target, content)
 
@@ -203,7 +204,6 @@ def movie(
     *,
     view: View = View.ISO,
     follow: str | None = None,
-    speed: float = 1.0,
     size: tuple[float, float] = SIZE,
     dpi: int = 100,
 ) -> bytes:
@@ -211,7 +211,7 @@ def movie(
     figure, axis = canvas(size)
     stage = Stage(runs, view, follow, size)
     gaps = np.diff(runs[0].time)
-    per_second = speed * float(1 / gaps[0] if gaps.size and gaps[0] else 1.0)
+    per_second = runs[0].speed * float(1 / gaps[0] if gaps.size and gaps[0] else 1.0)
     writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
     settings: Any = {}
     if kind is AnimationFormat.MP4:
@@ -339,7 +339,9 @@ def _start_settings(dae: Dae, run: Trajectory, variables: dict[str, dict[str, An
     parameters are used for nothing else than start values.
     """
     used = {s.name() for s in ca.symvar(ca.vertcat(dae.ode, dae.alg, dae.outputs))}
-    used |= {s.name() for expression, _ in dae.limits for s in ca.symvar(expression)}
+    later = [expression for expression, _ in dae.limits]
+    later += [part for event in dae.events for part in (event.condition, event.values)]
+    used |= {s.name() for expression in later for s in ca.symvar(expression)}
     for rule in dae.start_rules:
         for symbol in ca.symvar(rule.expression):
             if symbol.name() not in used and "value" in (facts := variables.get(symbol.name(), {})):

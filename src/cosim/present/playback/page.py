@@ -23,6 +23,7 @@ from cosim.drawing.camera import (
     HALF_ANGLE,
     LONGEST_ARROW,
     OUTWARD,
+    PEAK,
     Scale,
     View,
     camera_for,
@@ -50,7 +51,6 @@ def page(
     *,
     follow: str | None = None,
     view: View = View.ISO,
-    speed: float = 1.0,
     live: Mapping[str, Any] | None = None,
 ) -> str:
     """Return a self-contained page that plays runs; the first is in full color, others are ghosts.
@@ -58,7 +58,7 @@ def page(
     Args:
         played: The poses of each run.
         runs: The runs, whose variables are the curves.
-        follow, view, speed: See `animate`.
+        follow, view: See `animate`.
         live: What the page computes instead of playing the run; see `live_part`.
 
     Raises:
@@ -71,7 +71,7 @@ def page(
     leader = played[0].world.follow if follow is None else follow
     body = played[0].bodies.index(leader) if leader else -1
     facts |= {"follow": body, "middle": played[0].middle_of(body).tolist()}
-    facts |= {"speed": speed, "live": live}
+    facts |= {"speed": played[0].speed, "live": live}
     names = [column.name for column in runs[0].columns]
     if live:
         facts["title"] = runs[0].model
@@ -146,6 +146,7 @@ def _facts(
         **_plain(scale, "size", "pose", "cell"),
         "framed": _outermost(scale.points),
         "longest": LONGEST_ARROW * scale.pose,
+        "peak": PEAK,
         "floor": float((scale.points @ up).min()),
         "colors": CURVES,
         "invalid_color": INVALID_BODY,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil, radians
+from math import ceil, pi, radians
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,9 @@ from cosim.trajectory import Trajectory
 FRAMES_PER_SECOND = 30.0
 LARGEST_TURN = radians(60.0)  # of a body between two frames; beyond it wheels seem to run backward
 MOST_FRAMES = 6000
+# Of a playback, unless another speed is chosen
+MOST_TURNS = 6 * pi  # rad/s
+SHORTEST, LONGEST = 2.0, 60.0  # s
 
 
 def playback(
@@ -27,7 +30,7 @@ def playback(
     times: Sequence[float] | None = None,
     labels: Sequence[str] = (),
     frames_per_second: float = FRAMES_PER_SECOND,
-    speed: float = 1.0,
+    speed: float | None = None,
 ) -> Poses:
     """Return the poses of a run.
 
@@ -38,7 +41,7 @@ def playback(
         labels: Variables to write beside the picture.
         frames_per_second: Smallest number of frames in a second of playback; there are more where
             a body turns faster than 60 degrees a frame.
-        speed: Seconds of the run in a second of playback.
+        speed: Seconds of the run in a second of playback; see `usual_speed` if None.
 
     Raises:
         UsageError: The model declares no shapes; or the run lacks variables that place the bodies,
@@ -55,8 +58,10 @@ def playback(
             f"{run.model}: the run did not record {', '.join(missing)}, which place the bodies; "
             "add them to the outputs, or record all"
         )
+    turn_rate = _turn_rate(values, motion(drawing)) if times is None else 0.0
+    if speed is None:
+        speed = usual_speed(float(np.ptp(run.time)), turn_rate)
     if times is None:
-        turn_rate = _turn_rate(values, motion(drawing))
         frames = frame_times(run.time, turn_rate, frames_per_second / speed)
     else:
         frames = np.asarray(times, dtype=float)
@@ -74,7 +79,26 @@ def playback(
         labels=tuple(_label(run, name, frames) for name in labels),
         invalid_from=start,
         reasons=reasons,
+        speed=speed,
     )
+
+
+def usual_speed(span: float, turn_rate: float) -> float:
+    """Return a speed of playback that eyes can follow: 1, or another one of 1, 2, 5, 10 ...
+
+    A playback lasts at least 2 s and at most 60 s. In between, it is slower than the run if a body
+    turns fast.
+
+    Args:
+        span: Length of the run, s.
+        turn_rate: Angular speed of the body that turns fastest, rad/s.
+    """
+    speeds = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
+    if span > LONGEST:
+        return min(speed for speed in speeds if speed * LONGEST >= span)
+    slow = max(MOST_TURNS / turn_rate, span / 20) if turn_rate > 0 else 1.0
+    limit = min(1.0, slow, span / SHORTEST) or 1.0
+    return max(speed for speed in speeds if speed <= limit * (1 + 1e-9))
 
 
 def frame_times(time: Vector, turn_rate: float, frames_per_second: float) -> Vector:

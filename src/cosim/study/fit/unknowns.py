@@ -47,7 +47,9 @@ class Unknowns:
         if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
             raise UsageError.of_type("fit: parameters", given, "names, or bounds by name")
         if not given:
-            raise UsageError("fit: nothing is unknown; name parameters or start values to fit")
+            raise UsageError(
+                "fit: nothing is unknown; name what to fit: parameters=..., or --free A,B"
+            )
         asked = dict(given) if isinstance(given, Mapping) else dict.fromkeys(given)
         if each or not isinstance(each, tuple | list):
             UnknownName.reject("fit: each", "unknown", asked, *listed("fit: each", each))

@@ -10,7 +10,7 @@ const violation = (line) => line.replace(/^invalid from \S+ s: /, "");
 
 const EVENT = /: at (\S+) s: (.*)/; // as the runtime logs one
 
-const UNNAMED = /^\S+ of \(/; // a relation inside an equation
+const UNNAMED = /^\S+ of (\(|.*, )/; // a relation inside an equation
 
 /* A run of the compiled model; the numbers of `fmu/page/page.c`. */
 class Solver {

@@ -146,18 +146,22 @@ class Actor {
     });
   }
 
-  /* Scales the arrows of each unit by the largest load of the run while it is valid. */
+  /* Scales the arrows of each unit by the largest load while the run is valid, short peaks aside. */
   scale() {
-    const { run, data } = this, base = data.bodies.length * BODY, largest = new Map();
+    const { run, data } = this, base = data.bodies.length * BODY, sizes = new Map();
     const end = run.time.findIndex((t) => run.invalid_from !== null && t >= run.invalid_from);
     const valid = end > 0 ? end : run.time.length;
     data.loads.forEach(({ unit }, k) => {
-      for (let i = 0; i < valid; ++i) {
-        const size = Math.hypot(...triple(run, i, base + k * LOAD + 3));
-        largest.set(unit, Math.max(largest.get(unit) || 0, size));
-      }
+      if (!sizes.has(unit)) sizes.set(unit, new Float64Array(valid));
+      const most = sizes.get(unit);
+      for (let i = 0; i < valid; ++i)
+        most[i] = Math.max(most[i], Math.hypot(...triple(run, i, base + k * LOAD + 3)));
     });
-    for (const load of data.loads) load.per_unit = data.longest / (largest.get(load.unit) || Infinity);
+    for (const load of data.loads) {
+      const acting = sizes.get(load.unit).filter((size) => size > 0).sort();
+      const usual = acting.length ? acting[acting.length >> 1] : Infinity;
+      load.per_unit = data.longest / Math.min(acting[acting.length - 1] || Infinity, data.peak * usual);
+    }
   }
 
   turn(i, body) {
