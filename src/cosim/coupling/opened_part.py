@@ -163,11 +163,14 @@ class OpenedPart:
             self.solver.close()
         self.solver = None
 
-    def start(self, values: Mapping[str, float], **experiment: float) -> None:
+    def start(
+        self, values: Mapping[str, float], *, scale: float, **experiment: float | None
+    ) -> None:
         """Bring the instance to initialization mode.
 
         Args:
             values: Start values by name.
+            scale: Usual end of the run, s; steps of a solver here are short beside it.
             experiment: `startTime`, `stopTime` [s], `tolerance`.
         """
         self._drop_solver()
@@ -178,7 +181,8 @@ class OpenedPart:
                 Recorded(instance, self.description, variables)
                 for variables in (self.inputs, self.outputs)
             )
-        self._experiment = experiment
+        found = {n: value for n, value in experiment.items() if value is not None}
+        self._experiment = {**found, "stopTime": scale}
         begin_initialization(self.instance, self.description, values, **experiment)
 
     def leave_initialization(self) -> None:
