@@ -339,8 +339,9 @@ static inline int run_fixed(Coupling *self) {
     while (!is_at_goal(self)) {
         if (halted) return INTERRUPTED;
         double end = system->start + (double)(self->given_steps + 1) * system->macro_step;
-        if (same_time(system, end, system->goal)) end = system->goal;
-        self->next.t = fmin(fmin(end, system->goal), next_event(self));
+        if (same_time(system, end, system->stop)) end = system->stop;
+        const int reaches = end <= system->goal || same_time(system, end, system->goal);
+        self->next.t = fmin(reaches ? end : system->goal, next_event(self));
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         double error = 0;
         const int how = given_step(self, &error);
@@ -365,9 +366,41 @@ static inline int run_fixed(Coupling *self) {
     return DONE;
 }
 
+/* Whether a part has announced an event for the present point, which a next step would find. */
+static inline int is_due(const Coupling *self) {
+    const System *system = self->system;
+    int any = 0;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        any |= part->event_mode && same_time(system, part->next_event, self->now.t);
+    }
+    return any && self->ends_at_events && !(system->ends && self->now.t >= system->stop);
+}
+
+/* Let events happen that are announced for the present point: a step that they cut short finds
+ * them. Any other step is taken back. */
+static inline int pass_due_events(Coupling *self) {
+    const System *system = self->system;
+    while (is_due(self)) {
+        double error = 0;
+        self->next.t = self->now.t + (system->macro_step > 0 ? system->macro_step : self->h);
+        if (save_all(self)) return CALL_FAILED;
+        const int how = macro_step(self, iterates(self), &error);
+        if (how != EVENT_WITHIN || !same_time(system, self->event, self->now.t)) {
+            self->event = INFINITY;
+            return restore_all_but(self, NULL) ? CALL_FAILED : DONE;
+        }
+        const int passed = back_to_event(self);
+        if (passed != DONE) return passed;
+    }
+    self->standstills = self->unreached = self->inevitable = 0;
+    return DONE;
+}
+
 /* Goes on to the goal of the present call. */
 static inline int go_on(Coupling *self) {
-    return self->system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+    const int how = self->system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+    return how == DONE ? pass_due_events(self) : how;
 }
 
 #endif

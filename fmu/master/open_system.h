@@ -98,7 +98,8 @@ static inline int begin(Coupling *self) {
     if (recorded != DONE) return recorded;
     self->h = first_length(self);
     if (gather_crew(self)) return CALL_FAILED;
-    if (system->macro_step > 0) return DONE;
+    const int passed = pass_due_events(self);
+    if (passed != DONE || system->macro_step > 0) return passed;
     if (save_all(self)) return CALL_FAILED;
     return is_noisy(self, self->h, system->tolerance) ? NOISY : DONE;
 }

@@ -132,6 +132,45 @@ class CoSimulation:
                 reject_instability(run, ranges, inputs, lambda shorter: given(shorter)[2])
         return run
 
+    def opened(
+        self,
+        settings: Settings,
+        values: Mapping[str, Mapping[str, float]],
+        called: ctypes.c_longlong,
+        *,
+        ends: bool,
+    ) -> OpenSystem:
+        """Return a run that records nothing and is still to begin.
+
+        Where an accuracy chooses the macro steps, their tolerance is that of the second run of
+        `System.simulate`, and no further run checks it.
+
+        Args:
+            settings: How to simulate.
+            values: Start values by part, by variable.
+            called: Shows the place of the part that is being called.
+            ends: Whether the run ends at the stop time.
+        """
+        if settings.macro_step is None:
+            accuracy = settings.accuracy or _ACCURACY
+            tolerance = max(_FIRST * _TIGHTER * accuracy, _TIGHTEST)
+            of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
+        else:
+            of_parts = settings.tolerance or _TOLERANCE
+            tolerance = OF_A_RUN * of_parts
+        lengths = (settings.macro_step, settings.interval, None)
+        return OpenSystem(
+            self.wiring,
+            values,
+            settings,
+            Rows.of(np.array([settings.start]), dict.fromkeys(self.parts, ())),
+            own_steps(self.name, self.parts, *lengths, at_internal_steps=False),
+            tolerance=tolerance,
+            of_parts=of_parts,
+            ends=ends,
+            called=called,
+        )
+
     def _accurate(self, task: _Task) -> Trajectory:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
         settings = task.settings
@@ -144,7 +183,7 @@ class CoSimulation:
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
-            of_parts = settings.tolerance or min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
+            of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
             try:
                 run, jumps, _ = self._once(task, tolerance, of_parts, tolerance / coarsest)
             except SolverError as error:
@@ -314,7 +353,7 @@ class CoSimulation:
             np.hstack([np.zeros((rows, 0)), *(recorded.tables[n][:rows] for n in columns)]),
             stats,
             status="complete",
-            events=self._events(),
+            events=self.events(),
         )
         variables = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
         notes = [*notes_of(system, self.wiring), *filter(None, [rounding(variables, run)])]
@@ -339,7 +378,7 @@ class CoSimulation:
             raise SolverError(f"{self.name}: {why}", partial=run)
         return run
 
-    def _events(self) -> tuple[Event, ...]:
+    def events(self) -> tuple[Event, ...]:
         """Return what the parts have logged, unless they may have gone back behind it."""
         if not all(part.rolls_back for part in self.parts.values()):
             return ()
@@ -381,6 +420,11 @@ class CoSimulation:
             own = [v for v in part.description.modelVariables if v.causality == "output"]
             found[name] = list(dict.fromkeys(numeric_names([*own, *part.inputs])))
         return found
+
+
+def _tolerance_of_parts(tolerance: float) -> float:
+    """Return the tolerance of the parts' solvers for one of the coupling."""
+    return min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
 
 
 @lru_cache(1024)

@@ -57,6 +57,7 @@ class OpenSystem:
         called: Shows the place of the part that is being called.
 
     Attributes:
+        steps: As given.
         c: The `System` of the C code, with its answers.
         parts: Its parts.
         jumps: Which output times lie at jumps.
@@ -81,7 +82,7 @@ class OpenSystem:
         ends: bool = True,
         called: ctypes.c_longlong,
     ) -> None:
-        self._wiring, self._called = wiring, called
+        self._wiring, self._called, self.steps = wiring, called, steps
         start, stop = settings.start, settings.stop
         experiment = {"startTime": start, "stopTime": stop if ends else None}
         for name, part in self.each():
@@ -167,6 +168,15 @@ class OpenSystem:
         self.c.goal = goal
         coupling_library().advance_coupled(ctypes.byref(self.c))
         return self.is_done
+
+    def numbers(self, place: Vector | None, *, back: bool = False) -> int:
+        """Copy the numbers with which the next macro step begins to a place, or back from there.
+
+        Returns:
+            How many they are.
+        """
+        address = None if place is None else place.ctypes.data
+        return int(coupling_library().numbers_of_coupled(ctypes.byref(self.c), address, back))
 
     def _structures(self, rows: Rows, own_step: Mapping[str, float]) -> tuple[Any, list[Any]]:
         """Return the parts for the C code, and what must live as long as they."""

@@ -91,7 +91,7 @@ class OpenedPart:
     ) -> None:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path)
-        fmu.reset_is_enough = is_made_here(path)
+        self.is_own = fmu.reset_is_enough = is_made_here(path)
         self.description = fmu.description
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
@@ -105,9 +105,9 @@ class OpenedPart:
         order = int(getattr(abilities, "maxOutputDerivativeOrder", None) or 0)
         derivatives = order >= 1 and all(v.causality == "output" for v in self.moving_outputs)
         self.rates = (derivatives or exchange) and Ability.RATES not in unused
-        self._saves = bool(abilities.canGetAndSetFMUstate)
+        self.saves = bool(abilities.canGetAndSetFMUstate)
         # what a part for model exchange changes at events only is the same within a step
-        goes_back = self._saves or (exchange and not abilities.needsCompletedIntegratorStep)
+        goes_back = self.saves or (exchange and not abilities.needsCompletedIntegratorStep)
         self.rolls_back = goes_back and Ability.ROLLBACK not in unused
         directional = Ability.DIRECTIONAL not in unused and all_move
         self.directional = bool(abilities.providesDirectionalDerivative) and directional
@@ -194,7 +194,7 @@ class OpenedPart:
                 self.description,
                 self.calls,
                 inputs=self._callback,
-                saves=self._saves,
+                saves=self.saves,
                 **self._experiment,
             )
 
