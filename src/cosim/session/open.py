@@ -71,7 +71,8 @@ def open(
 
     Args:
         model: A `Dae`, the name of a model, "PATH.py:FUNCTION", the file of an FMU for
-            co-simulation, or a `System` of models, whose variables are called `part.variable`.
+            co-simulation, or a `System` or its file, whose variables are called `part.variable`.
+            One with FMUs as parts is advanced by the master of `System.simulate`.
         copies: Number of copies that are advanced together, explicit models without events in
             SIMD lanes and threads; one session when None.
         start_values: Start values, parameters and constant inputs by name, as in `simulate`; of
@@ -82,6 +83,9 @@ def open(
         stop_time: End that the FMU learns, s, and rejects steps beyond it; none when None.
         relative_tolerance: Of the solver in the FMU; that of its default experiment when None.
         solver: Of a model, as in `export_fmu`.
+        macro_step, method, accuracy: Of a system with FMUs as parts, as in `System.simulate`. Each
+            call of `advance` ends a macro step. An accuracy, 1e-6 if neither this nor macro_step is
+            given, chooses macro steps by their estimated error; no second run checks it.
 
     Returns:
         The session or the copies, at the start time; a context manager that closes itself.

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, NoReturn
+from typing import Any
 from weakref import finalize
 
 import numpy as np
@@ -30,6 +30,7 @@ from cosim.host.signals import interruptible
 from cosim.model.values import listed, number
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
+from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import packed, unpacked
 from cosim.session.values import may_change, sequence_by_name
@@ -359,7 +360,7 @@ class SystemSession(Life):
             part.instance.logged_events[:] = own if self.time == start else ()
         self._answer(())
 
-    def linearize(self, outputs: Sequence[str] | None = None) -> NoReturn:
+    def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""
         self._require()
         raise UsageError(
