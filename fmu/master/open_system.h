@@ -75,7 +75,7 @@ static inline void forget_event(Coupling *self) {
     self->standstills = self->unreached = self->inevitable = 0;
 }
 
-static inline int begin(Coupling *self) {
+static inline int begin_run(Coupling *self) {
     System *system = self->system;
     const long long m = system->inputs;
     self->now.t = system->time = system->start;
@@ -164,7 +164,7 @@ SHARED void settle_coupled(System *system) {
 SHARED void open_coupled(System *system) {
     Coupling *self = system->coupling = calloc(1, sizeof *self);
     system->how = CALL_FAILED;
-    if (self && !prepare(self, system)) carry_out(self, begin);
+    if (self && !prepare(self, system)) carry_out(self, begin_run);
 }
 
 SHARED void close_coupled(System *system) {

@@ -195,6 +195,18 @@ def test_failed_session_is_restored(way, files, tmp_path):
         assert session["motor.x"] == ahead
 
 
+def test_state_that_is_not_finite_ends_the_session_where_nothing_shows_it(files, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault="if (time > 0.4) self->x = NAN")
+    system = cosim.couple({"motor": bad, "load": files["lag"]}, {}, stop_time=1.0)
+    with cosim.open(system) as session:
+        session.advance(to=0.3)
+        saved = session.save()
+        with pytest.raises(FmuError, match=r"part 'motor': its state x is not finite at 0\.7 s"):
+            session.advance(to=0.7)
+        session.restore(saved)
+        assert session["motor.x"] == 0.0
+
+
 def test_part_that_ends_the_run_is_named_with_the_time(files):
     model = cosim.Model("ending", stop_time=1.0)
     x = model.state("x", "1", 0.0, "state")

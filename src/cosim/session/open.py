@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
 from numpy.typing import ArrayLike
@@ -108,7 +109,7 @@ def open(
         ...     bike.time, bike.get(["phi", "delta"]).shape
         (0.01, (2,))
     """
-    if isinstance(model, str | os.PathLike) and is_system(model):
+    if isinstance(model, str | os.PathLike) and (is_system(model) or Path(model).suffix == ".toml"):
         model = read_system(model)
     coupled = {"accuracy", "macro_step", "method"} & {
         n for n, v in keywords.items() if v is not None

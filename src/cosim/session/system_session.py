@@ -20,12 +20,14 @@ from cosim.coupling.connectors import Connector, End
 from cosim.coupling.failures import failure, violations
 from cosim.coupling.opened_part import explained
 from cosim.coupling.own_steps import is_multiple
+from cosim.coupling.part import split_key
 from cosim.coupling.settings import Settings
 from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import NUMERIC, access_to, by_name, is_number, why_it_ended
+from cosim.fmi.run.request import number_states
 from cosim.host.signals import interruptible
 from cosim.model.values import listed, number
 from cosim.session.clock import Clock
@@ -81,6 +83,11 @@ class SystemSession(Life):
         self.inputs = (*outside, *left)
         shown = [c.name for c in self._connectors.values() if c.shows]
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
+        self._watched = tuple(
+            f"{name}.{state.name}"
+            for name, part in self._instances.parts.items()
+            for state in number_states(part.description)
+        )
         self._owner = self._identity()
         self._begin(self.checked(self._start_values), settings)
 
@@ -171,11 +178,26 @@ class SystemSession(Life):
         if self._phase is Phase.ENDED:
             self._clock.now = float(self._run.c.time)
         else:
+            self._reject_lost_states(goal)
             self._clock.reach(goal, step)
         found = self._instances.events()
         for part in self._instances.parts.values():
             part.instance.logged_events.clear()
         return found
+
+    def _reject_lost_states(self, time: float) -> None:
+        """End the session if a state of a part that can be read is not finite."""
+        try:
+            values = self.get(self._watched)
+        except FmuError:
+            self._watched = ()
+            return
+        for name in (self._watched[i] for i in np.flatnonzero(~np.isfinite(values))):
+            self._phase = Phase.FAILED
+            part, state = split_key(name)
+            raise FmuError(
+                f"{self.name}: part '{part}': its state {state} is not finite at {time:.12g} s"
+            )
 
     def _reject_goal(self, goal: float) -> None:
         start, stop = self._run.c.start, self._settings.stop
