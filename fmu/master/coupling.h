@@ -104,18 +104,24 @@ static inline int let_happen(Coupling *self) {
     return settle(self, &self->now);
 }
 
+static inline int enter_event_modes(Coupling *self) {
+    System *system = self->system;
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (system->parts[p].event_mode && part_enter_event_mode(&self->fmu, system->parts + p))
+            return give_up(self, p), CALL_FAILED;
+    return DONE;
+}
+
 /* What happens at the present point, if a part waits for it; at the last one, no step follows that
  * would find it. */
 static inline int pass_events(Coupling *self) {
     System *system = self->system;
-    const int last = same_time(system, self->now.t, system->stop);
+    const int last = system->ends && same_time(system, self->now.t, system->stop);
     int any = 0;
     for (long long p = 0; p < system->n_parts; ++p)
         any |= system->parts[p].waits || (last && system->parts[p].event_mode);
     if (!any) return DONE;
-    for (long long p = 0; p < system->n_parts; ++p)
-        if (system->parts[p].event_mode && part_enter_event_mode(&self->fmu, system->parts + p))
-            return give_up(self, p), CALL_FAILED;
+    if (enter_event_modes(self) != DONE) return CALL_FAILED;
     /* events see the values that relations of time in other parts have now */
     const int how = settle_values(self, self->now.u);
     return how == DONE ? let_happen(self) : how;
@@ -196,25 +202,32 @@ static inline int vanished(Coupling *self, int reason) {
     return reason == STEP_VANISHED && is_noisy(self, length, allowed) ? NOISY : reason;
 }
 
+/* The length of a macro step that is chosen without a past. */
+static inline double first_length(const Coupling *self) {
+    const System *system = self->system;
+    const double first = FIRST * (system->stop - system->start);
+    const double refined = first * system->refinement;
+    return self->all_roll_back ? refined : fmin(refined, sqrt(system->tolerance) * first);
+}
+
+static inline int is_at_goal(const Coupling *self) {
+    const System *system = self->system;
+    return system->time >= system->goal || same_time(system, system->time, system->goal);
+}
+
 static inline int run_adaptive(Coupling *self) {
     System *system = self->system;
     const double span = system->stop - system->start;
     const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
-    double first = FIRST * system->refinement * span;
-    if (!self->all_roll_back) first = fmin(first, sqrt(system->tolerance) * FIRST * span);
     const double longest = LONGEST * system->refinement * span;
-    double h = first;
-    Attempts window = {0};
-    int slow = 0;
-    if (save_all(self)) return CALL_FAILED;
-    if (is_noisy(self, h, system->tolerance)) return NOISY;
-    while (system->time < system->stop && !same_time(system, system->time, system->stop)) {
+    double h = self->h;
+    while (!is_at_goal(self)) {
         if (halted) return INTERRUPTED;
         double error = 0;
         self->next.t = next_end(self, h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
-        if (slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
+        if (self->slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
         if (how == EVENT_WITHIN) {
@@ -229,8 +242,8 @@ static inline int run_adaptive(Coupling *self) {
             how == REJECTED ? 0.25 : SAFE * pow(system->tolerance / fmax(error, 1e-300), 0.25);
         const int rejected = how == REJECTED || (too_far && !shortest);
         if (rejected && shortest && !self->ends) return vanished(self, self->reason);
-        slow = hardly_advances(self, &window, rejected || error > system->tolerance);
-        if (slow && window.rejected > WINDOW / 4) return vanished(self, STEP_VANISHED);
+        self->slow = hardly_advances(self, &self->window, rejected || error > system->tolerance);
+        if (self->slow && self->window.rejected > WINDOW / 4) return vanished(self, STEP_VANISHED);
         if (rejected) {
             ++system->rejected;
             if (self->next.t == self->event) self->missed = self->event;
@@ -249,7 +262,8 @@ static inline int run_adaptive(Coupling *self) {
         for (long long r = row; too_far && r < system->rows; ++r) system->at_jumps[r] = true;
         h = length * fmin(fmax(factor, SHORTER), LONGER);
         h = fmin(fmax(h, SHORTEST * span), longest);
-        if (self->known == 0) h = first; /* after an event, or a switch */
+        if (self->known == 0) h = first_length(self); /* after an event, or a switch */
+        self->h = h;
     }
     return DONE;
 }
@@ -322,12 +336,12 @@ static inline int given_step(Coupling *self, double *error) {
 
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
-    for (long long n = 1;
-         system->time < system->stop && !same_time(system, system->time, system->stop);) {
+    while (!is_at_goal(self)) {
         if (halted) return INTERRUPTED;
-        double end = fmin(system->start + (double)n * system->macro_step, system->stop);
+        double end = system->start + (double)(self->given_steps + 1) * system->macro_step;
         if (same_time(system, end, system->stop)) end = system->stop;
-        self->next.t = fmin(end, next_event(self));
+        const int reaches = end <= system->goal || same_time(system, end, system->goal);
+        self->next.t = fmin(reaches ? end : system->goal, next_event(self));
         if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
         double error = 0;
         const int how = given_step(self, &error);
@@ -347,136 +361,46 @@ static inline int run_fixed(Coupling *self) {
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         if (jumps) forget_past(self);
-        if (self->now.t == end) ++n;
+        if (self->now.t == end) ++self->given_steps;
     }
     return DONE;
 }
 
-static inline double *take(double **memory, long long count) {
-    double *taken = *memory;
-    *memory += count;
-    return taken;
-}
-
-/* Room for everything: returns 0 unless there is none. */
-static inline int make_room(Coupling *self) {
-    const long long m = self->system->inputs + 1, y = self->system->outputs + 1, n = 2 * m;
-    const long long count =
-        2 * m * (2 + PAST) + 2 * y + 2 * m * m + 5 * m + n + 4 * n + n * (2 + 3 * MOST_KEPT);
-    double *memory = self->memory = calloc((size_t)count, sizeof *memory);
-    if (!memory) return 1;
-    Interface *points[2 + PAST] = {&self->now, &self->next};
-    for (int i = 0; i < PAST; ++i) points[2 + i] = &self->past[i];
-    for (int i = 0; i < 2 + PAST; ++i) {
-        points[i]->u = take(&memory, m);
-        points[i]->r = take(&memory, m);
-    }
-    self->y = take(&memory, y);
-    self->column = take(&memory, y);
-    self->gain = take(&memory, m * m);
-    self->matrix = take(&memory, m * m);
-    self->part_u = take(&memory, m);
-    self->given = take(&memory, 3 * m);
-    self->jumps = take(&memory, m);
-    self->change = take(&memory, n);
-    self->w = take(&memory, n);
-    self->found = take(&memory, 2 * n);
-    self->best = take(&memory, n);
-    FixedPoint *iteration = &self->iteration;
-    iteration->n = 2 * self->system->inputs;
-    iteration->w = take(&memory, n);
-    iteration->f = take(&memory, n);
-    for (int j = 0; j < MOST_KEPT; ++j) {
-        iteration->dw[j] = take(&memory, n);
-        iteration->df[j] = take(&memory, n);
-        iteration->q[j] = take(&memory, n);
-    }
-    return 0;
-}
-
-/* Threads for the parts, if they are wanted: returns 0 unless there is no memory. */
-static inline int gather_crew(Coupling *self) {
+/* Whether a part has announced an event for the present point, which a next step would find. */
+static inline int is_due(const Coupling *self) {
     const System *system = self->system;
-    const long long n = system->n_parts, m = system->inputs + 1;
-    if (!system->threads || system->method == GAUSS_SEIDEL || n < 2) return 0;
-    Stepper *steppers = calloc((size_t)n, sizeof *steppers);
-    double *numbers = calloc((size_t)(4 * n * m), sizeof *numbers);
-    self->crew = (Crew){step_member, (char *)steppers, sizeof *steppers, n, 0, NULL};
-    self->crew_numbers = numbers;
-    if (!steppers || !numbers) return 1;
-    for (long long i = 0; i < n; ++i) {
-        steppers[i].part_u = take(&numbers, m);
-        steppers[i].given = take(&numbers, 3 * m);
+    int any = 0;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        const Part *part = system->parts + p;
+        any |= part->event_mode && same_time(system, part->next_event, self->now.t);
     }
-    crew_start(&self->crew);
-    return 0;
+    return any && self->ends_at_events && !(system->ends && self->now.t >= system->stop);
 }
 
-static inline int run_from_start(Coupling *self) {
-    System *system = self->system;
-    const long long m = system->inputs;
-    self->now.t = system->time = system->start;
-    self->event = self->missed = INFINITY;
-    memcpy(self->now.u, system->u, (size_t)m * sizeof *self->now.u);
-    self->ends_at_events = system->method >= EXTRAPOLATED;
-    self->all_roll_back = 1;
-    for (long long p = 0; p < system->n_parts; ++p)
-        self->all_roll_back &= system->parts[p].rolls_back != 0;
-    self->ends_at_events &= self->all_roll_back && !system->quantum;
-    for (long long i = 0; i < system->outputs * m; ++i) self->feedthrough |= system->feeds[i] != 0;
-    int in_event_mode = 0; /* after the initialization */
-    for (long long p = 0; p < system->n_parts; ++p)
-        in_event_mode |= system->parts[p].event_mode != 0;
-    self->rateless = 1;
-    const int how = in_event_mode ? let_happen(self) : settle(self, &self->now);
-    if (how != DONE) return how;
-    extend_ranges(self);
-    const int recorded = record_next(self);
-    if (recorded != DONE) return recorded;
-    if (gather_crew(self)) return CALL_FAILED;
-    const int end = system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
-    if (self->crew.count) crew_end(&self->crew);
-    return end;
-}
-
-/* Settles the inputs of parts in initialization mode, whose start values may follow from them. */
-static inline int settle_start(Coupling *self) {
+/* Let events happen that are announced for the present point: a step that they cut short finds
+ * them. Any other step is taken back. */
+static inline int pass_due_events(Coupling *self) {
     const System *system = self->system;
-    for (long long p = 0; p < system->n_parts; ++p)
-        if (part_read_arrays(&self->fmu, system->parts + p, self->part_u))
-            return give_up(self, p), CALL_FAILED;
-    self->feedthrough = 1;
-    return settle_values(self, self->system->u);
-}
-
-static inline void answer_of(System *system, int (*task)(Coupling *)) {
-    if (!system->texts) system->texts = new_texts();
-    Coupling self = {.system = system, .fmu = {.called = system->called, .texts = system->texts}};
-    system->part = system->input = -1;
-    for (long long p = 1; p < system->n_parts; ++p) {
-        const Part *before = system->parts + p - 1;
-        system->parts[p].first_input = before->first_input + before->inputs;
-        system->parts[p].first_output = before->first_output + before->outputs;
-        system->parts[p].place = p;
+    while (is_due(self)) {
+        double error = 0;
+        self->next.t = self->now.t + (system->macro_step > 0 ? system->macro_step : self->h);
+        if (save_all(self)) return CALL_FAILED;
+        const int how = macro_step(self, iterates(self), &error);
+        if (how != EVENT_WITHIN || !same_time(system, self->event, self->now.t)) {
+            self->event = INFINITY;
+            return restore_all_but(self, NULL) ? CALL_FAILED : DONE;
+        }
+        const int passed = back_to_event(self);
+        if (passed != DONE) return passed;
     }
-    system->how = !system->texts || make_room(&self) ? CALL_FAILED : task(&self);
-    system->function = self.fmu.function;
-    system->status = self.fmu.status;
-    for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
-    free(self.memory);
-    free(self.crew.members);
-    free(self.crew_numbers);
-    if (task == settle_start && system->how == DONE) return;
-    free_texts(system->texts);
-    system->texts = NULL;
+    self->standstills = self->unreached = self->inevitable = 0;
+    return DONE;
 }
 
-SHARED void settle_coupled(System *system) {
-    answer_of(system, settle_start);
-}
-
-SHARED void run_coupled(System *system) {
-    answer_of(system, run_from_start);
+/* Goes on to the goal of the present call. */
+static inline int go_on(Coupling *self) {
+    const int how = self->system->macro_step > 0 ? run_fixed(self) : run_adaptive(self);
+    return how == DONE ? pass_due_events(self) : how;
 }
 
 #endif

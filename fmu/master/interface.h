@@ -30,6 +30,8 @@ typedef struct {
     const double *times;    /* of outputs */
     long long points;
     double start, stop;
+    double goal;       /* where the present call ends */
+    long long ends;    /* whether the run ends at `stop`; otherwise that tells its scale */
     double macro_step; /* 0: chosen by the error */
     double tolerance;  /* of the inputs, in their scales; with given steps, what parts round */
     double quantum;    /* macro steps are multiples of it; 0: any */
@@ -47,6 +49,7 @@ typedef struct {
     double interface_error, coarse; /* estimates for given steps: with a past; without any */
     double noise; /* of an input, in its scale, where it keeps steps from getting longer */
     long long jumps, noted; /* given macro steps as which an input jumps; the input of a note */
+    void *coupling;         /* the `Coupling` of a run that is open */
 } System;
 
 /* Whether two times of a run are the same but for rounding. */
@@ -60,6 +63,12 @@ static inline int same_time(const System *system, double a, double b) {
 typedef struct {
     double t, *u, *r;
 } Interface;
+
+/* Attempts of macro steps, in windows of equal number. */
+typedef struct {
+    long long made, rejected;
+    double begin; /* its time */
+} Attempts;
 
 typedef struct {
     System *system;
@@ -77,6 +86,10 @@ typedef struct {
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */
+    long long given_steps;           /* of a given length, completed */
+    double h;                        /* about the length of the next one that is chosen */
+    Attempts window;
+    int slow;        /* whether the last window hardly came on */
     int rateless;    /* whether rates that follow from values are not known at the present point */
     double most;     /* the largest input so far, in scales */
     int agreed_at;   /* the pass in which the last step's interface agreed */
@@ -281,9 +294,9 @@ static inline double next_end(const Coupling *self, double h) {
         const double taken = (self->now.t - system->start) / system->quantum;
         const double steps = fmax(floor(1.01 * h / system->quantum), 1);
         const double end = system->start + (round(taken) + steps) * system->quantum;
-        return end >= system->stop || same_time(system, end, system->stop) ? system->stop : end;
+        return end >= system->goal || same_time(system, end, system->goal) ? system->goal : end;
     }
-    const double goal = fmin(system->stop, next_event(self));
+    const double goal = fmin(system->goal, next_event(self));
     return self->now.t + 1.01 * h >= goal ? goal : self->now.t + h;
 }
 

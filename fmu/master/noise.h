@@ -72,12 +72,6 @@ static inline int is_noisy(Coupling *self, double length, double allowed) {
     return worst > allowed;
 }
 
-/* Attempts of macro steps, in windows of equal number. */
-typedef struct {
-    long long made, rejected;
-    double begin; /* its time */
-} Attempts;
-
 /* Note an attempt; tells whether it completes a window in which the run hardly comes on. */
 static inline int hardly_advances(const Coupling *self, Attempts *window, int rejected) {
     const double span = self->system->stop - self->system->start;

@@ -46,6 +46,7 @@ from cosim.series.samples import Column as Column
 from cosim.session.copies import Copies as Copies
 from cosim.session.open import open as open
 from cosim.session.session import Session as Session
+from cosim.session.system_session import SystemSession as SystemSession
 from cosim.study.extremes.campaign import extremes as extremes
 from cosim.study.fit.fit import fit as fit
 from cosim.study.fit.result import Fit as Fit

@@ -29,7 +29,7 @@ def test_fields_may_be_arrays(monkeypatch):
 def test_structures_have_the_sizes_of_the_compiler():
     mirrored = (Functions, Recording, Run, PartOfC, SystemOfC)
     sizes = ", ".join(f"sizeof({mirror.__name__.removesuffix('OfC')})" for mirror in mirrored)
-    text = master_source("coupling.h", "run.h")
+    text = master_source("open_system.h", "run.h")
     text += f"SHARED const size_t *all_sizes(void) {{ static size_t a[] = {{{sizes}}}; return a; }}"
     library = ctypes.CDLL(str(cached_library(f"sizes {text}", lambda: text)))
     library.all_sizes.restype = ctypes.POINTER(ctypes.c_size_t * len(mirrored))

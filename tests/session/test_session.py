@@ -6,6 +6,7 @@ from weakref import ref
 
 import numpy as np
 import pytest
+from helpers.detours import detour, straight
 from helpers.event_models import ball, sampled, stopping
 from helpers.fmi_cases import VERSIONS
 from helpers.foreign_part import foreign_part
@@ -49,78 +50,25 @@ def test_session_has_the_bits_and_events_of_a_whole_run(name, fmi, by, fmus):
     assert [(e.time, e.name) for e in events] == [(e.time, e.name) for e in whole.events]
 
 
-def straight(path, push, rows):
-    """Return the outputs and times of a session that only sets inputs and advances."""
-    with cosim.open(path) as session:
-        found = [(session.time, session.get())]
-        for k in range(rows):
-            if session.inputs:
-                session.set([push[k]] * len(session.inputs))
-            session.advance(STEP)
-            found.append((session.time, session.get()))
-    return found
-
-
-SHARES = {"advance": 12, "save": 3, "restore": 3, "copy": 1, "reset": 0.5, "wrong": 2}
-WRONG = [
-    lambda s: s.advance(-1.0),
-    lambda s: s.advance(to=-1.0),
-    lambda s: s.set(nothing=1.0),
-    lambda s: s.get(["none"]),
-    lambda s: s.restore(b"none"),
-]
-
-
-def detour(session, push, expected, choose, *, by_step):
-    """Do random things with a session; what it returns must have the bits of the straight run."""
-    place, saved, made = 0, [], []
-    for _ in range(150):
-        (what,) = choose.choices([*SHARES], [*SHARES.values()])
-        if what == "advance" and place + 1 < len(expected):
-            if session.inputs:
-                session.set([push[place]] * len(session.inputs))
-            if by_step:
-                session.advance(STEP)
-            else:
-                session.advance(to=expected[place + 1][0])
-            place += 1
-        elif what == "save":
-            saved.append((place, session.save()))
-        elif what == "restore" and saved:
-            place, content = choose.choice(saved)
-            session.restore(content)
-        elif what == "copy" and len(made) < 4:
-            made.append(session)
-            session = session.copy()
-        elif what == "reset":
-            session.reset()
-            place = 0
-        elif what == "wrong":
-            with pytest.raises(cosim.CosimError):
-                choose.choice(WRONG)(session)
-        time, values = expected[place]
-        assert session.time == time
-        if choose.random() < 0.7:
-            np.testing.assert_array_equal(session.get(), values)
-    for one in [*made, session]:
-        one.close()
+def detours_of(subject, seed, rows=120, **options):
+    """Take sessions of a subject through detours by steps and by times."""
+    choose = random.Random(seed)
+    push = [round(choose.uniform(-2, 2), 2) for _ in range(rows)]
+    times = [(k + 1) * STEP for k in range(rows)]
+    with cosim.open(subject) as session:
+        expected = straight(session, push, times)
+    for step in (STEP, None):
+        detour(cosim.open(subject), push, expected, choose, step=step, **options)
 
 
 @VERSIONS
 @pytest.mark.parametrize("name", MODELS)
 def test_detours_change_no_bit(name, fmi, fmus):
-    choose = random.Random(f"{name} {fmi}")
-    push = [round(choose.uniform(-2, 2), 2) for _ in range(120)]
-    expected = straight(fmus[name, fmi], push, 120)
-    for by_step in (True, False):
-        detour(cosim.open(fmus[name, fmi]), push, expected, choose, by_step=by_step)
+    detours_of(fmus[name, fmi], f"{name} {fmi}")
 
 
 def test_detours_of_a_foreign_fmu_change_no_bit(tmp_path):
-    path = foreign_part(tmp_path, "lag")
-    choose = random.Random(3)
-    push = [choose.uniform(-2, 2) for _ in range(60)]
-    detour(cosim.open(path), push, straight(path, push, 60), choose, by_step=True)
+    detours_of(foreign_part(tmp_path, "lag"), 3, rows=60)
 
 
 # -- exact values -------------------------------------------------------------------------------
@@ -151,6 +99,24 @@ def test_events_are_returned_by_the_step_in_which_they_happen():
         (impact,) = session.advance(to=0.5)
     assert impact.name == "impact"
     assert impact.time == pytest.approx(np.sqrt(2 / 9.81), abs=1e-9)  # measured 1e-12
+
+
+@pytest.mark.parametrize("beyond", [1 + 2.3e-16, 1.001, 2.0])
+def test_value_set_to_a_threshold_is_not_beyond_it(beyond):
+    model = Model("threshold", stop_time=1.0)
+    x, u = model.state("x", "1", 0.0, "state"), model.input("u", "1", 0.0, "input")
+    count = model.discrete("count", "1", 0, "events")
+    model.derivative(x, u)
+    model.when(u > 1, {count: count + 1}, name="above")
+    with cosim.open(model.freeze()) as session:
+        session.advance(0.1)
+        session.set(u=1.0)
+        saved = session.save()
+        assert (session.advance(0.1), session["count"]) == ((), 0.0)
+        session.restore(saved)
+        session.set(u=beyond)
+        (event,) = session.advance(0.1)
+        assert (event.time, session["count"]) == (pytest.approx(0.1, abs=1e-12), 1.0)
 
 
 def test_set_takes_units_vectors_and_names_and_rejects_them_as_a_whole(session):

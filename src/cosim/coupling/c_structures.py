@@ -25,9 +25,15 @@ class SystemOfC(ctypes.Structure):
 
 @cached_per_thread(1)
 def coupling_library() -> ctypes.CDLL:
-    """Return the library with `settle_coupled`, `run_coupled` and `give_inputs`."""
-    text = master_source("coupling.h")
+    """Return the library of fmu/master/open_system.h."""
+    text = master_source("open_system.h")
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    for call in (library.settle_coupled, library.run_coupled):
-        call.argtypes, call.restype = [ctypes.POINTER(SystemOfC)], None
+    own = ctypes.POINTER(SystemOfC)
+    for name in ("settle", "open", "advance", "close"):
+        call = library[f"{name}_coupled"]
+        call.argtypes, call.restype = [own], None
+    for call in (library.begin_changes, library.end_changes):
+        call.argtypes, call.restype = [own], None
+    library.numbers_of_coupled.argtypes = [own, ctypes.c_void_p, ctypes.c_int]
+    library.numbers_of_coupled.restype = ctypes.c_longlong
     return library

@@ -1,14 +1,13 @@
 """Why a co-simulation failed, by each ending of fmu/master/coupling.h, and notes on its run."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-from cosim.arrays import Vector
-from cosim.coupling.opened_part import OpenedPart
+from cosim.coupling.open_system import Rows
+from cosim.coupling.wiring import Wiring
 from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.text import Violation
@@ -39,38 +38,17 @@ class CoupledEnding(IntEnum):
     NOISY = len(Ending) + 2
 
 
-@dataclass(frozen=True)
-class Wiring:
-    """The connected variables in the order of the C code.
-
-    Attributes:
-        parts: By name.
-        inputs: Part and variable of each input.
-        sources: Part and variable of the output that drives each of them.
-        unknown: Parts whose equations are not known.
-    """
-
-    parts: Mapping[str, OpenedPart]
-    inputs: Sequence[tuple[str, str]]
-    sources: Sequence[tuple[str, str]]
-    unknown: Sequence[str] = ()
-
-
 def failure(
     system: Any,
     wiring: Wiring,
-    columns: Mapping[str, Sequence[str]],
-    tables: Mapping[str, Vector],
-    times: Vector,
+    rows: Rows | None = None,
 ) -> str:
     """Return why a run failed, in words that name the part.
 
     Args:
         system: The `System` of the C code, with its answers.
         wiring: What is connected.
-        columns, tables: Names and rows of the recorded variables by part; a row that is not finite
-            follows the complete ones.
-        times: Output times, s.
+        rows: What it has recorded, if anything; a row that is not finite follows the complete ones.
     """
     time, how = f"{system.time:.9g} s", system.how
     has_input = 0 <= system.input < len(wiring.inputs)
@@ -88,12 +66,12 @@ def failure(
         )
     if how == Ending.NOT_A_NUMBER and has_input:
         return f"part '{part}': its output {output} is not finite after {time}{shorter}"
-    if how == Ending.NOT_A_NUMBER:
-        name, row = list(wiring.parts)[system.part], min(system.rows, len(times) - 1)
-        place = int(np.argmin(np.isfinite(tables[name][row])))
+    if how == Ending.NOT_A_NUMBER and rows is not None:
+        name, row = list(wiring.parts)[system.part], min(system.rows, len(rows.times) - 1)
+        place = int(np.argmin(np.isfinite(rows.tables[name][row])))
         return (
-            f"part '{name}': {columns[name][place]} is not finite at {times[row]:.9g} s; leave it "
-            "out of the outputs if it has no value"
+            f"part '{name}': {rows.columns[name][place]} is not finite at {rows.times[row]:.9g} s; "
+            "leave it out of the outputs if it has no value"
         )
     if how == Ending.STUCK:
         reason = f"events of the parts at {time} cause each other without end"

@@ -91,8 +91,8 @@ class OpenedPart:
     ) -> None:
         self.name, self.path = name, path
         self._fmu = fmu = OpenedFmu(path)
-        fmu.reset_is_enough = self.made_here = is_made_here(path)
-        if self.made_here and Ability.EVENTS not in unused and _exchanges(fmu):
+        fmu.reset_is_enough = self.is_own = is_made_here(path)
+        if self.is_own and Ability.EVENTS not in unused and _exchanges(fmu):
             fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description
         self.instance: Any = None
@@ -107,9 +107,9 @@ class OpenedPart:
         order = int(getattr(abilities, "maxOutputDerivativeOrder", None) or 0)
         derivatives = order >= 1 and all(v.causality == "output" for v in self.moving_outputs)
         self.rates = (derivatives or exchange) and Ability.RATES not in unused
-        self._saves = bool(abilities.canGetAndSetFMUstate)
+        self.saves = bool(abilities.canGetAndSetFMUstate)
         # what a part for model exchange changes at events only is the same within a step
-        goes_back = self._saves or (exchange and not abilities.needsCompletedIntegratorStep)
+        goes_back = self.saves or (exchange and not abilities.needsCompletedIntegratorStep)
         self.rolls_back = goes_back and Ability.ROLLBACK not in unused
         directional = Ability.DIRECTIONAL not in unused and all_move
         self.directional = bool(abilities.providesDirectionalDerivative) and directional
@@ -117,7 +117,7 @@ class OpenedPart:
         interpolates = Ability.INTERPOLATION not in unused
         second = is_second(fmu.description)
         if interpolates and second and getattr(abilities, "canInterpolateInputs", False):
-            self.order = InputOrder.CUBIC if self.made_here else InputOrder.LINEAR
+            self.order = InputOrder.CUBIC if self.is_own else InputOrder.LINEAR
         events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
         events = events and all(map(is_continuous, self.inputs))  # others change in that mode only
         self.event_mode = exchange or (self.rolls_back and events)
@@ -131,7 +131,7 @@ class OpenedPart:
             self._callback = callback if interpolates else 0
         elif self.event_mode:
             fmu.callback |= {"eventModeUsed": True, "earlyReturnAllowed": True}
-        if not exchange and interpolates and self.made_here and asks_for_inputs(fmu.description):
+        if not exchange and interpolates and self.is_own and asks_for_inputs(fmu.description):
             self.order = InputOrder.CUBIC
             references = Layout.of(self.moving_inputs).references
             fmu.callback["requiredIntermediateVariables"] = references
@@ -160,11 +160,14 @@ class OpenedPart:
             self.solver.close()
         self.solver = None
 
-    def start(self, values: Mapping[str, float], **experiment: float) -> None:
+    def start(
+        self, values: Mapping[str, float], *, scale: float, **experiment: float | None
+    ) -> None:
         """Bring the instance to initialization mode.
 
         Args:
             values: Start values by name.
+            scale: Usual end of the run, s; steps of a solver here are short beside it.
             experiment: `startTime`, `stopTime` [s], `tolerance`.
         """
         self._drop_solver()
@@ -175,7 +178,8 @@ class OpenedPart:
                 Recorded(instance, self.description, variables)
                 for variables in (self.inputs, self.outputs)
             )
-        self._experiment = experiment
+        found = {n: value for n, value in experiment.items() if value is not None}
+        self._experiment = {**found, "stopTime": scale}
         begin_initialization(self.instance, self.description, values, **experiment)
 
     def leave_initialization(self) -> None:
@@ -187,7 +191,7 @@ class OpenedPart:
                 self.description,
                 self.calls,
                 inputs=self._callback,
-                saves=self._saves,
+                saves=self.saves,
                 **self._experiment,
             )
 

@@ -28,7 +28,7 @@ def own_steps(
     parts: Mapping[str, OpenedPart],
     macro_step: float | None,
     interval: float,
-    span: float,
+    span: float | None,
     *,
     at_internal_steps: bool,
 ) -> OwnSteps:
@@ -40,7 +40,8 @@ def own_steps(
         system: Its name.
         parts: By name.
         macro_step: s; None if it is chosen by the accuracy.
-        interval, span: Distance of the output times and length of the run, s.
+        interval: Distance of the output times, s.
+        span: Length of the run, s; None if output times and the end are not known.
         at_internal_steps: Whether macro steps that are chosen end with steps of the solvers inside
             parts that drive others where their length is fixed. Outputs change there only.
 
@@ -57,15 +58,15 @@ def own_steps(
         if (
             macro_step is not None
             and not part.internal_step
-            and not _is_multiple(macro_step, found[name])
+            and not is_multiple(macro_step, found[name])
         ):
             found[name] = macro_step  # another length may do as well if it is always the same
         for what, length in (
             ("macro_step", macro_step),
-            ("output_interval", interval),
+            ("output_interval", span and interval),
             ("the span of the run", span),
         ):
-            if length is not None and not _is_multiple(length, found[name]):
+            if length is not None and not is_multiple(length, found[name]):
                 raise UsageError(
                     f"{system}: {what} = {length:g} s is no multiple of {found[name]:g} s, the "
                     f"only step of part '{name}'; choose one that is"
@@ -83,7 +84,8 @@ def own_steps(
     return OwnSteps(found, _common_multiple({quantum, *internal} - {0.0}) or quantum)
 
 
-def _is_multiple(length: float, step: float) -> bool:
+def is_multiple(length: float, step: float) -> bool:
+    """Tell whether a length is a multiple of a step but for rounding."""
     return (
         step > 0
         and length > step / 2
@@ -97,4 +99,4 @@ def _common_multiple(steps: Iterable[float]) -> float:
     if not every:
         return 0.0
     multiples = (n * every[-1] for n in range(1, _MOST_MULTIPLES))
-    return next((m for m in multiples if all(_is_multiple(m, step) for step in every)), 0.0)
+    return next((m for m in multiples if all(is_multiple(m, step) for step in every)), 0.0)

@@ -213,15 +213,14 @@ class System:
                 is unstable with `macro_step`; `partial` is the run up to there.
             MissingTool: There is no compiler.
         """
-        settings = Settings(
-            *self.times(span.get("start_time"), span.get("stop_time"), span.get("output_interval")),
-            accuracy=_positive(self.name, "accuracy", accuracy),
-            macro_step=_positive(self.name, "macro_step", macro_step),
-            method=choice(Method, "method", method),
-            tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
+        settings = self.settings(
+            accuracy=accuracy,
+            macro_step=macro_step,
+            method=method,
+            relative_tolerance=relative_tolerance,
             threads=bool(threads),
+            **span,
         )
-        self._reject_no_parts()
         given = values_of(self.parts, start_values or {}, self.connectors)
         if inputs is None or (isinstance(inputs, Mapping) and not inputs):
             return self._simulated(settings, given, outputs)
@@ -234,6 +233,27 @@ class System:
                 error.partial = signals.outside(error.partial)
             raise
         return signals.outside(run)
+
+    def settings(
+        self,
+        *,
+        accuracy: float | None,
+        macro_step: float | None,
+        method: str,
+        relative_tolerance: float | None,
+        threads: bool = False,
+        **span: Unpack[SpanKeywords],
+    ) -> Settings:
+        """Return checked arguments of `simulate`."""
+        self._reject_no_parts()
+        return Settings(
+            *self.times(span.get("start_time"), span.get("stop_time"), span.get("output_interval")),
+            accuracy=_positive(self.name, "accuracy", accuracy),
+            macro_step=_positive(self.name, "macro_step", macro_step),
+            method=choice(Method, "method", method),
+            tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
+            threads=threads,
+        )
 
     def _driven_by(self, signals: Signals, given: Mapping[tuple[str, str], float]) -> "System":
         """Return the system with a part that drives inputs."""
@@ -412,16 +432,37 @@ class System:
 
     @cached_property
     def _co_simulation(self) -> CoSimulation:
+        found = self.instances()
+        self.holds(closing(found))
+        return found
+
+    @cached_property
+    def _files_to_run(self) -> dict[str, Path]:
         # events end macro steps by the event mode, which FMI 2.0 does not have
         versions = {
             n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
             for n, p in self.parts.items()
         }
-        files = self._exported(versions)
-        unknown = [n for n, part in self.parts.items() if isinstance(part.subject, Path)]
-        found = CoSimulation(self.name, files, self.connections, self.unused, unknown)
-        self.holds(closing(found))
-        return found
+        return self._exported(versions)
+
+    def instances(self) -> CoSimulation:
+        """Return new instances of the parts; whoever asks for them closes them."""
+        with self.naming_files(), self._lock:
+            files = self._files_to_run
+            unknown = [n for n, part in self.parts.items() if isinstance(part.subject, Path)]
+            return CoSimulation(self.name, files, self.connections, self.unused, unknown)
+
+    def values_of_parts(self, given: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        """Return the start values of the system and others, checked, by part, by variable.
+
+        Args:
+            given: Values by `part.variable` or by the name of a connector.
+        """
+        own = values_of(self.parts, given, self.connectors)
+        driven = {wire.input for wire in self.connections}
+        if twice := [".".join(name) for name in sorted(driven & own.keys())]:
+            raise UsageError(f"{self.name}: {twice[0]} is connected and given a value; drop one")
+        return self._of_parts(self.start_values | own)
 
     def _of_parts(self, values: Mapping[tuple[str, str], float]) -> dict[str, dict[str, float]]:
         """Return values by part, with the states whose starts outputs of models determine."""

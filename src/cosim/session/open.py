@@ -2,11 +2,14 @@
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
+from cosim.coupling.files import is_system, read_system
+from cosim.coupling.settings import Method
 from cosim.coupling.system import System
 from cosim.errors import UsageError
 from cosim.fmi.run.instance import Interface
@@ -21,6 +24,7 @@ from cosim.session.opened_file import OpenedFile, exported
 from cosim.session.restart import Experiment
 from cosim.session.session import Session
 from cosim.session.single_copies import SingleCopies
+from cosim.session.system_session import SystemSession
 
 _MOST_INSTANCES = 100_000  # of an FMU, each of which is called alone
 
@@ -32,6 +36,9 @@ class SessionKeywords(TypedDict, total=False):
     stop_time: float | None
     relative_tolerance: float | None
     solver: str | None
+    accuracy: float | None
+    macro_step: float | None
+    method: str | None
 
 
 @overload
@@ -41,7 +48,7 @@ def open(
     copies: None = None,
     start_values: Mapping[str, float | str] | None = None,
     **keywords: Unpack[SessionKeywords],
-) -> Session: ...
+) -> Session | SystemSession: ...
 @overload
 def open(
     model: Dae | System | str | os.PathLike[str],
@@ -56,7 +63,7 @@ def open(
     copies: int | None = None,
     start_values: Mapping[str, Any] | None = None,
     **keywords: Unpack[SessionKeywords],
-) -> Session | Copies:
+) -> Session | SystemSession | Copies:
     """Begin a session: a model that stays alive, is advanced step by step, saved and restored.
 
     A model runs as compiled code of its FMU for co-simulation, in this process; the first session
@@ -65,7 +72,8 @@ def open(
 
     Args:
         model: A `Dae`, the name of a model, "PATH.py:FUNCTION", the file of an FMU for
-            co-simulation, or a `System` of models, whose variables are called `part.variable`.
+            co-simulation, or a `System` or its file, whose variables are called `part.variable`.
+            One with FMUs as parts is advanced by the master of `System.simulate`.
         copies: Number of copies that are advanced together, explicit models without events in
             SIMD lanes and threads; one session when None.
         start_values: Start values, parameters and constant inputs by name, as in `simulate`; of
@@ -76,6 +84,9 @@ def open(
         stop_time: End that the FMU learns, s, and rejects steps beyond it; none when None.
         relative_tolerance: Of the solver in the FMU; that of its default experiment when None.
         solver: Of a model, as in `export_fmu`.
+        macro_step, method, accuracy: Of a system with FMUs as parts, as in `System.simulate`. Each
+            call of `advance` ends a macro step. An accuracy, 1e-6 if neither this nor macro_step is
+            given, chooses macro steps by their estimated error; no second run checks it.
 
     Returns:
         The session or the copies, at the start time; a context manager that closes itself.
@@ -98,13 +109,16 @@ def open(
         ...     bike.time, bike.get(["phi", "delta"]).shape
         (0.01, (2,))
     """
+    if isinstance(model, str | os.PathLike) and (is_system(model) or Path(model).suffix == ".toml"):
+        model = read_system(model)
+    coupled = {"accuracy", "macro_step", "method"} & {
+        n for n, v in keywords.items() if v is not None
+    }
+    if isinstance(model, System) and not model.is_model:
+        return _open_system(model, copies, start_values or {}, keywords)
+    if coupled:
+        raise UsageError(f"{min(coupled)} is for systems with FMUs as parts; leave it out")
     if isinstance(model, System):
-        if not model.is_model:
-            raise UsageError(
-                f"{model.name}: a session of a system needs models as parts; "
-                f"{', '.join(p.name for p in model.fmus) or 'there are none'}: open an FMU alone, "
-                "or use System.simulate"
-            )
         model = model.dae
     if copies is not None:
         whole("open", "copies", copies)
@@ -134,3 +148,29 @@ def open(
     whole("open", "copies", copies, most=_MOST_INSTANCES)
     sessions = [Session(file, {}, experiment, dae) for _ in range(copies)]
     return Copies(SingleCopies(sessions), copies, start_values or {}, experiment.startTime)
+
+
+def _open_system(
+    system: System, copies: int | None, values: Mapping[str, Any], keywords: SessionKeywords
+) -> SystemSession | Copies:
+    """Return sessions of a system that the master of `System.simulate` advances."""
+    if keywords.get("solver") is not None:
+        raise UsageError(f"{system.name}: its parts have their own solvers; leave solver out")
+    start, stop = keywords.get("start_time"), keywords.get("stop_time")
+    ends = stop is not None
+    if start is not None and stop is None:  # what follows is as long as usual
+        usual_start, usual_stop, _ = system.times(None, None, None)
+        stop = number("open", "start_time", start) + usual_stop - usual_start
+    settings = system.settings(
+        start_time=start,
+        stop_time=stop,
+        accuracy=keywords.get("accuracy"),
+        macro_step=keywords.get("macro_step"),
+        method=keywords.get("method") or Method.ITERATED,
+        relative_tolerance=keywords.get("relative_tolerance"),
+    )
+    if copies is None:
+        return SystemSession(system, values, settings, ends=ends)
+    whole("open", "copies", copies, most=_MOST_INSTANCES)
+    sessions = [SystemSession(system, {}, settings, ends=ends) for _ in range(copies)]
+    return Copies(SingleCopies(sessions), copies, values, settings.start)

@@ -4,11 +4,9 @@ import hashlib
 import uuid
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from enum import StrEnum
 from functools import cached_property
 from operator import attrgetter
-from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn
 from weakref import finalize
 
 from numpy.typing import ArrayLike
@@ -22,24 +20,18 @@ from cosim.integrate.keywords import requested
 from cosim.model.values import number, plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
+from cosim.session.life import Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
-from cosim.session.saved import packed, unpacked, unpicklable
+from cosim.session.saved import packed, unpacked
 from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
 _LARGEST = 64  # resets that are prepared
 
 
-class _Phase(StrEnum):
-    RUNNING = "running"
-    ENDED = "ended"
-    FAILED = "failed"
-    CLOSED = "closed"
-
-
-class Session:
+class Session(Life):
     """A model that stays alive; open one with `cosim.open`. One thread at a time may use it.
 
     Values are in SI units; those of an FMU from elsewhere are in its own units.
@@ -89,32 +81,13 @@ class Session:
 
     # -- life ---------------------------------------------------------------------------------
 
-    __iter__ = None  # it has names, and no order
-
-    def __enter__(self) -> Self:
-        self._reject_closed()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: object, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def __repr__(self) -> str:
-        return f"session of {self.name} at {self._clock.now:.12g} s, {self._phase}"
-
-    def close(self) -> None:
-        """Free the model; nothing but `close` may be called afterwards."""
-        self._phase = _Phase.CLOSED
-        self._stack.close()
-
     def _begin(self, given: Mapping[str, Any], experiment: Experiment) -> None:
         """Take a fresh or reset instance through its initialization."""
         restart = self._restarts.get(tuple(given)) if self._used else None
         if restart is not None and not restart.accepts(given):
             restart = None
         values = self.checked(given) if restart is None else {}
-        self._phase = _Phase.FAILED
+        self._phase = Phase.FAILED
         if not self._used or not self._file.is_own:
             self._renew()
         try:
@@ -134,7 +107,8 @@ class Session:
         finally:
             self._used = True
         self._clock = Clock(experiment.startTime, experiment.startTime)
-        self._phase = _Phase.RUNNING
+        self._begun = experiment.startTime, tuple(self._events)
+        self._phase = Phase.RUNNING
 
     def _renew(self) -> None:
         """Replace the instance by a new one."""
@@ -208,25 +182,7 @@ class Session:
         other._instance.violations[:] = self._instance.violations
         return other
 
-    __copy__ = copy
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Session":
-        return self.copy()
-
-    def __reduce__(self) -> NoReturn:
-        raise unpicklable(self.name)
-
     # -- running ------------------------------------------------------------------------------
-
-    @property
-    def time(self) -> float:
-        """The present time, s."""
-        return self._clock.now
-
-    @property
-    def stop(self) -> str | None:
-        """Why the model has ended the run; None if it has not."""
-        return self._reason if self._phase is _Phase.ENDED else None
 
     @property
     def invalid(self) -> str | None:
@@ -256,7 +212,7 @@ class Session:
             FmuError: The model failed, ended the run before, or is closed. After a failure,
                 only `restore` and `reset` are possible.
         """
-        if self._phase is not _Phase.RUNNING:
+        if self._phase is not Phase.RUNNING:
             self._require()
         clock = self._clock
         time = clock.now
@@ -273,7 +229,7 @@ class Session:
         if status > WARNING:
             self._fail(self._failure(status, "DoStep"))
         if ends:
-            self._phase, clock.now = _Phase.ENDED, reached
+            self._phase, clock.now = Phase.ENDED, reached
             self._reason = why_it_ended(log)
         else:
             clock.reach(target, step)
@@ -299,13 +255,9 @@ class Session:
                 a value does not fit; then nothing is set.
             FmuError: The model rejects a value, has ended or failed, or is closed.
         """
-        if self._phase is not _Phase.RUNNING:
+        if self._phase is not Phase.RUNNING:
             self._require()
         self._values.set(values, named)
-
-    def __getitem__(self, name: str) -> float:
-        value: float = self.get((name,))[0]
-        return float(value)
 
     def get(self, names: Sequence[str] | None = None) -> Vector:
         """Return values.
@@ -320,7 +272,7 @@ class Session:
             UnknownName, UsageError: A variable does not exist, or is not one number.
             FmuError: A value is not defined, or the session has failed or is closed.
         """
-        if self._phase is not _Phase.RUNNING and self._phase is not _Phase.ENDED:
+        if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
         return self._values.get(names)
 
@@ -344,7 +296,7 @@ class Session:
         Raises:
             FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
         """
-        if self._phase is not _Phase.RUNNING:
+        if self._phase is not Phase.RUNNING:
             self._require()
         place = 0
         content = b""
@@ -362,7 +314,7 @@ class Session:
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        if self._phase is not _Phase.RUNNING:
+        if self._phase is not Phase.RUNNING:
             self._reject_closed()
         if type(saved) is not bytes:
             UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
@@ -379,11 +331,12 @@ class Session:
         elif not self._states.go_back(place):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._clock = Clock(*clock)
-        self._events.clear()
+        start, first = self._begun
+        self._events[:] = first if self.time == start else ()
         violations = self._instance.violations
         if violations:
             violations[:] = [one for one in violations if one.time <= self.time]
-        self._phase = _Phase.RUNNING
+        self._phase = Phase.RUNNING
 
     def _damaged(self) -> UsageError:
         self._instance.log_texts.clear()
@@ -473,23 +426,11 @@ class Session:
         raise error
 
     def _fail(self, error: FmuError) -> NoReturn:
-        self._phase, self._reason = _Phase.FAILED, str(error)
+        self._phase, self._reason = Phase.FAILED, str(error)
         self._events.clear()
         raise error
 
-    def _require(self) -> None:
-        """Reject a call that a running session alone answers."""
-        self._reject_closed()
-        if self._phase is _Phase.FAILED:
-            raise FmuError(f"{self.name}: the session has failed; go on with restore or reset")
-        if self._phase is _Phase.ENDED:
-            raise FmuError(
-                f"{self.name}: the run has ended at {self.time:.12g} s ({self._reason}); go on "
-                "with restore or reset"
-            )
-
     def _reject_closed(self) -> None:
-        if self._phase is _Phase.CLOSED:
-            raise FmuError(f"{self.name}: the session is closed; open it again")
+        super()._reject_closed()
         if getattr(self._instance, "is_fatal", False):
             raise FmuError(f"{self.name}: the FMU has reported a fatal error; open it again")

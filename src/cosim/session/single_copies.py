@@ -9,6 +9,7 @@ import numpy as np
 from cosim.arrays import Integers, Vector
 from cosim.errors import CosimError, FmuError
 from cosim.session.session import Session
+from cosim.session.system_session import SystemSession
 from cosim.trajectory import Event
 
 
@@ -19,7 +20,7 @@ class SingleCopies:
         sessions: Of the same model.
     """
 
-    def __init__(self, sessions: Sequence[Session]) -> None:
+    def __init__(self, sessions: Sequence[Session] | Sequence[SystemSession]) -> None:
         first = sessions[0]
         self._sessions = sessions
         self.name, self.inputs, self.outputs = first.name, first.inputs, first.outputs

@@ -51,7 +51,7 @@ class Values:
     def set(self, values: Any, named: dict[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Session.set`."""
         if values is not None:
-            named = {**self._by_name(values), **named}
+            named = {**sequence_by_name(self._name, [v.name for v in self.inputs], values), **named}
         found = []
         for name, value in named.items():
             variable, group = self._setters.get(name) or self._setter(name)
@@ -64,25 +64,13 @@ class Values:
             if status > WARNING:
                 self._check(status, "Set")
 
-    def _by_name(self, values: Any) -> dict[str, Any]:
-        if isinstance(values, Mapping):
-            return dict(values)
-        names = [v.name for v in self.inputs]
-        row = values.tolist() if isinstance(values, np.ndarray) else values
-        if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != len(names):
-            shown = f"{len(names)} inputs {', '.join(names)}" if names else "inputs: it has none"
-            raise UsageError.of_type(
-                f"{self._name}: set", values, f"values by name, or one for each of its {shown}"
-            )
-        return dict(zip(names, row, strict=True))
-
     def _setter(self, name: str) -> tuple[Any, Group]:
         """Return a variable that may be set during a run, with its prepared call."""
         variable = self._variables.get(name)
         if variable is None:
-            settable = [v.name for v in self._variables.values() if _may_change(v)]
+            settable = [v.name for v in self._variables.values() if may_change(v)]
             raise UnknownName.among(self._name, "input", name, settable)
-        if not _may_change(variable):
+        if not may_change(variable):
             shown = ", ".join(v.name for v in self.inputs) or "no inputs"
             raise UsageError(
                 f"{self._name}: {name} cannot be set during a run, which takes {shown} and tunable "
@@ -127,6 +115,19 @@ class Values:
         return groups
 
 
+def sequence_by_name(owner: str, names: Sequence[str], values: Any) -> dict[str, Any]:
+    """Return values by the names of inputs, which may have come in their order."""
+    if isinstance(values, Mapping):
+        return dict(values)
+    row = values.tolist() if isinstance(values, np.ndarray) else values
+    if isinstance(row, str) or not isinstance(row, Sequence) or len(row) != len(names):
+        shown = f"{len(names)} inputs {', '.join(names)}" if names else "inputs: it has none"
+        raise UsageError.of_type(
+            f"{owner}: set", values, f"values by name, or one for each of its {shown}"
+        )
+    return dict(zip(names, row, strict=True))
+
+
 def inputs_of(description: Any) -> list[Any]:
     """Return the inputs that are one number."""
     return [v for v in description.modelVariables if v.causality == "input" and is_number(v)]
@@ -140,7 +141,7 @@ def plain_value(owner: str, description: Any, variable: Any, value: Any) -> Any:
     return typed_value(owner, variable, value)
 
 
-def _may_change(variable: Any) -> bool:
+def may_change(variable: Any) -> bool:
     """Tell whether a variable may be set between steps."""
     tunable = variable.causality == "parameter" and variable.variability == "tunable"
     return is_number(variable) and (variable.causality == "input" or tunable)

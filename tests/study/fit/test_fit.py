@@ -177,6 +177,34 @@ def test_value_at_its_bound_is_named():
     assert any(note.startswith("k ends at its bound 1") for note in found.notes)
 
 
+def test_the_bound_itself_is_named_although_the_value_ends_beside_it():
+    """A constant is fitted best by the rate 0, where the least squares end close to the bound."""
+    found = fit(DECAY, record({"x": np.ones_like(TIMES)}), {"k": (0.0, 0.5, 10.0)})
+    assert found.values["k"] == pytest.approx(0, abs=1e-6)  # measured 2e-7
+    assert found.notes == ("k ends at its bound 0; its interval does not count",)
+
+
+def test_rate_of_what_stays_at_zero_is_not_identified():
+    found = fit(DECAY, record({"x": np.zeros_like(TIMES)}), {"k": (0.1, 10.0), "x": (-1, 0.5, 10)})
+    assert found.values["x"] == pytest.approx(0, abs=1e-12)
+    assert found.unidentified == ("not identified: k (the measurements do not depend on it)",)
+
+
+def test_record_that_begins_late_is_noted():
+    late = record({"x": 3 * np.exp(-2 * TIMES)}, TIMES + 2.5, "late")
+    (note,) = fit(DECAY, late, {"k": (0.1, 10.0)}).notes
+    assert note.startswith("late begins 2.5 s after the run, which begins at 0")
+    late = record({"x": 3 * np.exp(-2 * TIMES)}, TIMES + 2.0)
+    assert not fit(DECAY, late, {"k": (0.1, 10.0)}).notes
+
+
+def test_records_of_different_variables_are_summed_up():
+    other = record({"y": 3 * np.exp(-2 * TIMES)})
+    found = fit(DECAY, [noisy(1), other], {"k": (0.1, 10.0), "x": None})
+    assert "residuals (standard deviation): x 0.0" in str(found)
+    assert ", y " in str(found)
+
+
 def test_fitted_model_starts_with_the_fitted_values():
     found = fit(DECAY, noisy(7), {"k": 1.0, "x": 1.0})
     assert found.dae.variable("k").start == found.values["k"]
@@ -221,6 +249,11 @@ def test_fmu_is_fitted_by_finite_differences(tmp_path):
         ({"measured": record({"q": TIMES})}, UnknownName, "q"),
         ({"measured": record({"x": TIMES[:1]}, TIMES[:1])}, ParameterError, "cannot determine"),
         ({"measured": record({"x": TIMES}, TIMES - 1)}, ParameterError, "before the run"),
+        (
+            {"measured": record({"x": TIMES}, np.fmax(TIMES, 0.05))},
+            ParameterError,
+            "two measurements at 0.05 s",
+        ),
     ],
 )
 def test_wrong_arguments_are_rejected(changed, error, text):

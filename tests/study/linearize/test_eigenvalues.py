@@ -32,6 +32,13 @@ def test_unstable_loop_beside_a_very_fast_state_keeps_its_eigenvalues():
     np.testing.assert_allclose(sorted(found.eigenvalues.real), [-1e13, -1, 1], rtol=1e-15)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_squares_of_entries_do_not_leave_the_range_of_numbers(size):
+    found = cosim.linearize(linear_model([[0, size], [-size, 0]]))
+    np.testing.assert_allclose(sorted(found.eigenvalues.imag), [-size, size], rtol=1e-15)
+
+
 def test_double_integrator_has_two_zeros_without_rounding():
     assert cosim.linearize(linear_model([[0, 1], [0, 0]])).eigenvalues.tolist() == [0, 0]
 

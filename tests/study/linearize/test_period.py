@@ -167,6 +167,22 @@ def test_sampled_model_with_another_event_is_rejected():
         linearize(model.freeze())
 
 
+def test_fmu_whose_linear_system_changes_with_time_is_rejected(tmp_path):
+    """The multiplier of this Mathieu equation is above 1, but its A at the start is stable."""
+    path = cosim.export_fmu(mathieu(1.0, 0.4), tmp_path / "mathieu.fmu")
+    with pytest.raises(FmuError, match="is another one than at the start"):
+        linearize(path)
+
+
+def test_load_on_an_fmu_leaves_its_linear_system_as_it_is(tmp_path):
+    model = Model("loaded")
+    x, v = model.state("x", "1", 0.0, "x"), model.state("v", "1/s", 0.0, "v")
+    model.derivative(x, v)
+    model.derivative(v, -4 * x + ca.cos(2 * model.t))
+    found = linearize(cosim.export_fmu(model.freeze(), tmp_path / "loaded.fmu"))
+    assert sorted(mode.value.imag for mode in found.modes) == pytest.approx([-2, 2], abs=1e-15)
+
+
 def test_fmu_with_samples_is_rejected(tmp_path):
     path = cosim.export_fmu(sampled(), tmp_path / "sampled.fmu")
     with pytest.raises(FmuError, match="has an event at"):

@@ -213,6 +213,21 @@ def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
     assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
 
 
+def test_derivatives_of_a_sampled_loop_are_checked_at_its_samples_too():
+    """With E = exp(-a T), x(n T) = (E - k (1 - E)/a)^n x(0)."""
+    model = Model("sampled", stop_time=0.6)
+    x, u = model.state("x", "1", 1.0, "x"), model.discrete("u", "1", 0.0, "control")
+    k = model.parameter("k", "1", 2.0, "gain")
+    model.derivative(x, u - x)
+    model.every(0.1, {u: -k * x})
+    found = cosim.sensitivity(model.freeze(), with_respect_to=["x", "k"], output_interval=0.1)
+    n, E = np.arange(7), np.exp(-0.1)
+    factor = E - 2 * (1 - E)
+    np.testing.assert_allclose(found["x", "x"], factor**n, rtol=0, atol=1e-9)
+    slope = n * factor ** (n - 1) * (E - 1)
+    np.testing.assert_allclose(found["x", "k"], slope, rtol=0, atol=1e-9)
+
+
 def resting_blocks():
     """Two blocks that their springs cannot move."""
     model = Model("blocks", stop_time=0.1)

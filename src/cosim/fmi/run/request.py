@@ -388,12 +388,17 @@ def nominals_of(instance: Any, count: int) -> Vector:
     return np.where(np.isfinite(found) & (found > 0), found, 1.0)
 
 
+def number_states(description: Any) -> list[Any]:
+    """Return the states that are one number, of arrays the elements."""
+    states = [by_name(description)[name] for name in sorted(_states(description))]
+    return [variable for variable in states if is_number(variable)]
+
+
 def lost_state(instance: Any, description: Any) -> str:
     """Return the name of a state that is not finite; or "" if none is or can be read."""
     from fmpy.fmi1 import FMICallException
 
-    states = [by_name(description)[name] for name in sorted(_states(description))]
-    states = [variable for variable in states if is_number(variable)]  # of arrays the elements
+    states = number_states(description)
     if not states:
         return ""
     try:

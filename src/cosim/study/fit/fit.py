@@ -268,7 +268,8 @@ class _Problem:
     def result(self, best: _Solution, confidence: float, reach: float, notes: Sequence[str]) -> Fit:
         """Return the values with their confidence, and what is not identified."""
         sizes = self.unknowns.sizes
-        relative = np.where(best.x == 0, 1.0, np.abs(best.x))  # scales of the final values
+        ends = np.abs(best.x)
+        relative = np.where(ends <= EPS, 1.0, ends)  # scales of the final values
         _, singular, rows = np.linalg.svd(best.jacobian * relative, full_matrices=True)
         rank = int((singular > RANK * singular.max(initial=0.0)).sum())
         identified = rows[:rank].T / np.where(rank, singular[:rank], 1.0)
@@ -291,7 +292,7 @@ class _Problem:
             reach=reach,
             rank=rank,
             unidentified=self._not_identified(rank, lost),
-            notes=(*notes, *self._at_bounds(best)),
+            notes=(*notes, *self._late(), *self._at_bounds(best)),
             noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
             samples=self.samples,
             start_values=self.fixed,
@@ -318,14 +319,24 @@ class _Problem:
             f"{'combination' if left == 1 else 'combinations'}; fix {len(lost)} of these values",
         )
 
+    def _late(self) -> list[str]:
+        """Return sentences on records that begin later after the run than they are long."""
+        return [
+            f"{record.model} begins {record.time[0]:.6g} s after the run, which begins at 0; if "
+            "its times count from elsewhere, shift them (time_offset, --time-offset)"
+            for record in self.records
+            if record.time[0] > record.time[-1] - record.time[0]
+        ]
+
     def _at_bounds(self, best: _Solution) -> list[str]:
         low, high = self.unknowns.low, self.unknowns.high
         x = best.x * self.unknowns.sizes
         near = 1e-6 * np.fmin(high - low, self.unknowns.sizes)
         at = np.minimum(x - low, high - x) <= near
+        bounds = np.where(x - low <= high - x, low, high)
         found = [
-            f"{name} ends at its bound {value:.6g}; its interval does not count"
-            for name, value, is_there in zip(self.unknowns.names, x, at, strict=True)
+            f"{name} ends at its bound {bound:.6g}; its interval does not count"
+            for name, bound, is_there in zip(self.unknowns.names, bounds, at, strict=True)
             if is_there
         ]
         return found if best.success else [f"the fit did not converge: {best.message}", *found]
@@ -349,7 +360,12 @@ def _records(subject: Subject, measured: Any) -> tuple[Trajectory, ...]:
         if record.time[0] < 0:
             raise ParameterError(
                 f"fit: {record.model} begins at {record.time[0]:g} s, before the run; shift its "
-                "times with time_offset of read_csv"
+                "times (time_offset of read_csv, --time-offset)"
+            )
+        if (again := np.diff(record.time) <= 0).any():
+            raise ParameterError(
+                f"fit: {record.model} has two measurements at {record.time[again.argmax()]:g} s; "
+                "keep one of them"
             )
         for column in record.columns:
             unit = subject.column(column.name).unit

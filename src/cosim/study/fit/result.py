@@ -193,7 +193,7 @@ class Fit:
         )
 
     def _column(self, name: str) -> Column:
-        return self.runs[0].column(name)
+        return next(run for run in self.runs if name in run).column(name)
 
     def _shown(self, name: str, size: float) -> Any:
         column = self._column(name)

@@ -266,7 +266,7 @@ class _Track:
         value = high.spectrum.values[self._step(low, high).partners[row]]
         mode = Mode(complex(value), (), period=linear.period)
         return Crossing(
-            float(high.value),
+            float(high.value) + 0.0,  # no -0
             mode.frequency,
             name or ("oscillating" if mode.frequency else "real"),
             tuple(linear.states[i] for i in self.group),

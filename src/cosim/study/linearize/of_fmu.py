@@ -21,9 +21,10 @@ from cosim.fmi.run.instance import (
 )
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.local import reject_no_number, rounding
+from cosim.study.linearize.local import SAME, reject_no_number, rounding
 
 POINT = "the initial state of an FMU"
+LATER = (0.0271828, 0.314159)  # times of a run, of its span, that fit to no period
 
 
 def linearized_fmu(
@@ -66,6 +67,7 @@ def linearized_fmu(
                 unknowns, knowns = (*rates, *shown), (*states, *inputs)
                 jacobian = _jacobian(instance, unknowns, knowns)
                 noise = _noise(instance, rates, states, x, jacobian)
+                _reject_course(instance, description, jacobian[: len(states)], noise, knowns, rates)
             except FmuError:
                 raise
             except Exception as error:
@@ -117,6 +119,34 @@ def _noise(
         return _jacobian(instance, rates, states)
 
     return rounding(at, x, nominal, jacobian[: len(rates), : len(states)])
+
+
+def _reject_course(
+    instance: Any,
+    description: Any,
+    here: Vector,
+    noise: Vector,
+    knowns: Sequence[Any],
+    rates: Sequence[Any],
+) -> None:
+    """Raise FmuError if the rates depend otherwise on the states at later times.
+
+    Args:
+        here: Their derivatives by states and inputs at the start.
+        noise: What rounding leaves open in those by states.
+    """
+    stop = getattr(description.defaultExperiment, "stopTime", None)
+    n = len(here)
+    for share in LATER:
+        time = share * float(stop or 1.0)
+        instance.setTime(time)
+        change = np.abs(_jacobian(instance, rates, knowns[:n]) - here[:, :n])
+        if (change > noise + SAME * np.abs(here[:, :n]).max(initial=0.0)).any():
+            raise FmuError(
+                f"{description.modelName}: the linear system at {time:.6g} s is another one than "
+                "at the start, so that no eigenvalues tell whether the motion is stable; linearize "
+                "the model itself, which gives the multipliers of periodic motions"
+            )
 
 
 def _depends(description: Any, states: Sequence[Any]) -> Truths:

@@ -60,7 +60,8 @@ class Spectrum:
             left = np.linalg.inv(right)
         except np.linalg.LinAlgError:
             left = np.full_like(right, np.inf)
-        norm = float(np.linalg.norm(own))
+        largest = float(np.abs(own).max()) or 1.0  # so that no square overflows
+        norm = largest * float(np.linalg.norm(own / largest))
         doubt = len(own) * EPS * norm + float(np.linalg.norm(noise))
         condition = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0)
         most = norm * EPS ** (1 / len(own))  # a multiple eigenvalue splits by a root of the error

@@ -327,10 +327,14 @@ class _Task:
     def between_events(self, times: Vector) -> Truths:
         """Return at which times all changed runs have passed equally many events, (n,)."""
         found = np.ones(len(times), dtype=bool)
+        common = self.events[0] if self.events else np.empty(0)
+        for events in self.events:
+            common = np.intersect1d(common, events)
         for events in self.events:
             passed = np.searchsorted(events, times)
             found &= passed == np.searchsorted(self.events[0], times)
-            found &= ~np.isclose(times[:, None], events[None], rtol=1e-9, atol=1e-9).any(axis=1)
+            moved = np.setdiff1d(events, common)  # samples stay where they are
+            found &= ~np.isclose(times[:, None], moved[None], rtol=1e-9, atol=1e-9).any(axis=1)
         return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:

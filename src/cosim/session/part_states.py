@@ -1,0 +1,108 @@
+"""`PartStates`: the states of the parts of a system, saved and restored as one."""
+
+import ctypes
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from cosim.coupling.opened_part import OpenedPart, explained
+from cosim.errors import FmuError
+from cosim.fmi.run.c_structures import Functions
+from cosim.session.calls import WARNING, PreparedCalls, StateCalls, free_states
+
+_SIZE = struct.Struct("<Q")
+_CALL = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+
+
+class PartStates:
+    """The states of parts that are past their initialization.
+
+    Args:
+        system: Its name.
+        parts: By name.
+
+    Attributes:
+        serializes: Whether all parts write their states as bytes.
+
+    Raises:
+        FmuError: A part cannot save its state.
+    """
+
+    def __init__(self, system: str, parts: Mapping[str, OpenedPart]) -> None:
+        # one for model exchange may go back within a step, where nothing but its states changes
+        if fixed := [name for name, part in parts.items() if not (part.saves and part.rolls_back)]:
+            raise FmuError(
+                f"{system} cannot save its state, as {', '.join(fixed)} cannot; begin again with "
+                "reset"
+            )
+        self.system, self._parts = system, parts
+        self.serializes = all(map(_serializes, parts.values()))
+        self._calls = [_calls(part) for part in parts.values()] if self.serializes else []
+        self._kept: list[list[tuple[Functions, ctypes.c_void_p]]] = []
+
+    def write(self) -> bytes:
+        """Return the states as bytes."""
+        found = []
+        for calls, part in zip(self._calls, self._parts.values(), strict=True):
+            with explained(self.system, part):
+                found.append(calls.save())
+        return b"".join(_SIZE.pack(len(one)) + one for one in found)
+
+    def read(self, content: bytes) -> bool:
+        """Set the states that bytes describe; return whether the parts accept them."""
+        place = 0
+        for calls, part in zip(self._calls, self._parts.values(), strict=True):
+            (size,) = _SIZE.unpack_from(content, place)
+            place += _SIZE.size + size
+            with explained(self.system, part):
+                if not calls.restore(content[place - size : place]):
+                    return False
+        return True
+
+    def keep(self) -> int:
+        """Save the states in this process; return their number."""
+        found = []
+        for part in self._parts.values():
+            state = ctypes.c_void_p()
+            self._call(part, "get_fmu_state", ctypes.byref(state))
+            found.append((part.functions, state))
+        self._kept.append(found)
+        return len(self._kept) - 1
+
+    def go_back(self, number: int) -> bool:
+        """Set the states of a number; return whether there are such."""
+        if number >= len(self._kept):
+            return False
+        for part, (_, state) in zip(self._parts.values(), self._kept[number], strict=True):
+            self._call(part, "set_fmu_state", state)
+        return True
+
+    def free(self) -> None:
+        """Free the states before the instances."""
+        if self.serializes:
+            for calls, part in zip(self._calls, self._parts.values(), strict=True):
+                free_states(part.instance, calls.free, calls.saved)
+        for functions, state in (one for states in self._kept for one in states):
+            _CALL(functions.free_fmu_state)(functions.stepper, ctypes.byref(state))
+        self._kept.clear()
+
+    def _call(self, part: OpenedPart, field: str, place: Any) -> None:
+        functions = part.functions
+        status = _CALL(getattr(functions, field))(functions.stepper, place)
+        if status > WARNING:
+            call = f"{part.function_name(field.encode())} returned {status}"
+            raise FmuError(f"{self.system}: part '{part.name}': {part.explained(FmuError(call))}")
+
+
+def _serializes(part: OpenedPart) -> bool:
+    return part.solver is None and bool(part.description.coSimulation.canSerializeFMUstate)
+
+
+def _calls(part: OpenedPart) -> StateCalls:
+    calls = PreparedCalls(part.instance, part.description)
+
+    def check(status: int, function: str) -> None:
+        if status > WARNING:
+            raise FmuError(f"{function} returned {status}")
+
+    return StateCalls(calls, check, is_own=part.is_own)

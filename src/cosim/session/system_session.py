@@ -1,0 +1,391 @@
+"""`SystemSession`: a session of a coupled system, whose parts the compiled master advances."""
+
+import ctypes
+import hashlib
+import uuid
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import cached_property
+from operator import attrgetter
+from typing import Any
+from weakref import finalize
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cosim.arrays import Vector
+from cosim.coupling.c_structures import coupling_library
+from cosim.coupling.connectors import Connector, End
+from cosim.coupling.failures import failure, violations
+from cosim.coupling.opened_part import explained
+from cosim.coupling.own_steps import is_multiple
+from cosim.coupling.part import split_key
+from cosim.coupling.settings import Settings
+from cosim.coupling.system import System
+from cosim.coupling.values import target, values_of
+from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments
+from cosim.fmi.run.c_structures import Ending
+from cosim.fmi.run.instance import NUMERIC, access_to, by_name, is_number, why_it_ended
+from cosim.fmi.run.request import number_states
+from cosim.host.signals import interruptible
+from cosim.model.values import listed, number
+from cosim.session.clock import Clock
+from cosim.session.life import Life, Phase
+from cosim.session.linearizer import LinearSystem
+from cosim.session.part_states import PartStates
+from cosim.session.saved import packed, unpacked
+from cosim.session.values import may_change, sequence_by_name
+from cosim.trajectory import Event
+
+_LARGEST = 64  # lists of variables whose calls are prepared
+
+
+class SystemSession(Life):
+    """A coupled system with FMUs as parts that stays alive; open one with `cosim.open`.
+
+    It has the methods of `Session`. Variables are called `part.variable`, or by the name of a
+    connector of the whole system; values are in their own units. Each `advance` ends a macro step.
+
+    Attributes:
+        name: Of the system.
+        inputs, outputs: Names of the inputs that nothing drives, and of what a run records.
+        states: None that are known.
+    """
+
+    states: tuple[str, ...] = ()
+
+    def __init__(
+        self, system: System, values: Mapping[str, Any], settings: Settings, *, ends: bool
+    ) -> None:
+        self.name = system.name
+        self._system, self._settings, self._ends = system, settings, ends
+        self._start_values = dict(values) if isinstance(values, Mapping) else values
+        self._stack = ExitStack()
+        finalize(self, self._stack.close)
+        self._instances = system.instances()
+        self._stack.callback(self._instances.close)
+        self._begun = self._stack.enter_context(ExitStack())  # freed before the instances
+        self._called = ctypes.c_longlong(-1)
+        self._connectors: Mapping[str, Connector] = system.connectors
+        driven = {wire.input for wire in system.connections}
+        ends_of = [c for c in self._connectors.values() if c.is_input and not c.is_text]
+        behind = {end.variable for connector in ends_of for end in connector.ends}
+        own = [
+            (part, v.name)
+            for part, item in system.parts.items()
+            for v in item.variables.values()
+            if v.is_input and NUMERIC.fullmatch(v.type)
+        ]
+        self._driven = driven
+        outside = [c.name for c in ends_of if all(end.variable in own for end in c.ends)]
+        left = [".".join(one) for one in own if one not in driven | behind]
+        self.inputs = (*outside, *left)
+        shown = [c.name for c in self._connectors.values() if c.shows]
+        self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
+        self._watched = tuple(
+            f"{name}.{state.name}"
+            for name, part in self._instances.parts.items()
+            for state in number_states(part.description)
+        )
+        self._owner = self._identity()
+        self._begin(self.checked(self._start_values), settings)
+
+    def _identity(self) -> bytes:
+        """Return what tells the system from others whose states it cannot take."""
+        facts = [
+            f"{name} {part.description.guid} {part.description.modelName}"
+            for name, part in self._instances.parts.items()
+        ]
+        return hashlib.sha256("\n".join([*facts, repr(self._system.connections)]).encode()).digest()
+
+    # -- life ---------------------------------------------------------------------------------
+
+    def _begin(self, values: Mapping[str, Mapping[str, float]], settings: Settings) -> None:
+        self._phase = Phase.FAILED
+        self._begun.close()
+        vars(self).pop("_states", None)
+        self._selections: dict[Any, list[tuple[Any, ...]]] = {}
+        with self._system.naming_files():
+            run = self._instances.opened(settings, values, self._called, ends=self._ends)
+            self._run = self._begun.enter_context(run)
+            self._clock = Clock(settings.start, settings.start)
+            with interruptible(coupling_library()) as interrupts:
+                run.begin()
+        self._answer(interrupts)
+        parts = self._instances.parts.values()
+        self._first = settings.start, [tuple(part.instance.logged_events) for part in parts]
+
+    def checked(self, values: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        """Return start values by part and variable, checked."""
+        return self._system.values_of_parts(values)
+
+    @naming_arguments
+    def reset(
+        self,
+        start_values: Mapping[str, float | str] | None = None,
+        *,
+        start_time: float | None = None,
+    ) -> None:
+        """Begin again; see `Session.reset`."""
+        self._reject_closed()
+        given = {} if start_values is None else start_values
+        if isinstance(given, Mapping):
+            given = {**self._start_values, **given}
+        settings = self._settings
+        if start_time is not None:
+            start = number(self.name, "start_time", start_time)
+            stop = settings.stop if self._ends else settings.stop - settings.start + start
+            settings = replace(settings, start=start, stop=stop)
+        self._begin(self.checked(given), settings)
+
+    def copy(self) -> "SystemSession":
+        """Return another session in the present state; see `Session.copy`.
+
+        Raises:
+            FmuError: A part cannot write its state as bytes, or allows one instance only.
+        """
+        self._require()
+        if not self._states.serializes:
+            raise FmuError(
+                f"{self.name}: a part cannot write its state as bytes; the session cannot be "
+                "copied, but go back with save and restore"
+            )
+        other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
+        other.restore(self.save())
+        return other
+
+    # -- running ------------------------------------------------------------------------------
+
+    @property
+    def invalid(self) -> str | None:
+        """The first validity condition that a step violated, and since when; None if none did."""
+        found = violations(self._instances.wiring, self._run.parts)
+        return min(found, key=attrgetter("time"), default=None)
+
+    def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
+        """Integrate with constant inputs; see `Session.advance`."""
+        self._require()
+        goal = self._clock.target(self.name, step, to)
+        if goal == self.time:
+            return ()
+        self._reject_goal(goal)
+        for part in self._instances.parts.values():
+            part.instance.log_texts.clear()
+        with interruptible(coupling_library()) as interrupts:
+            self._run.advance(goal)
+        self._answer(interrupts)
+        if self._phase is Phase.ENDED:
+            self._clock.now = float(self._run.c.time)
+        else:
+            self._reject_lost_states(goal)
+            self._clock.reach(goal, step)
+        found = self._instances.events()
+        for part in self._instances.parts.values():
+            part.instance.logged_events.clear()
+        return found
+
+    def _reject_lost_states(self, time: float) -> None:
+        """End the session if a state of a part that can be read is not finite."""
+        try:
+            values = self.get(self._watched)
+        except FmuError:
+            self._watched = ()
+            return
+        for name in (self._watched[i] for i in np.flatnonzero(~np.isfinite(values))):
+            self._phase = Phase.FAILED
+            part, state = split_key(name)
+            raise FmuError(
+                f"{self.name}: part '{part}': its state {state} is not finite at {time:.12g} s"
+            )
+
+    def _reject_goal(self, goal: float) -> None:
+        start, stop = self._run.c.start, self._settings.stop
+        if self._ends and goal > stop:
+            raise ParameterError(
+                f"{self.name}: {goal:.12g} s is after the stop time {stop:.12g} s; open the "
+                "session with a later one"
+            )
+        for name, step in self._run.steps.of_parts.items():
+            if not is_multiple(goal - start, step):
+                raise ParameterError(
+                    f"{self.name}: {goal:.12g} s is no multiple of {step:g} s after the start, "
+                    f"the only step of part '{name}'"
+                )
+
+    def _answer(self, interrupts: Sequence[int]) -> None:
+        """Take the answer of the C code: it goes on, has ended the run, or failed."""
+        answer = self._run.c
+        if interrupts or answer.how == Ending.INTERRUPTED:
+            self._phase = Phase.FAILED
+            raise KeyboardInterrupt
+        if answer.how == Ending.DONE:
+            self._phase = Phase.RUNNING
+            return
+        parts = self._instances.parts
+        if answer.how == Ending.ENDED_BY_FMU:
+            name = list(parts)[answer.part]
+            self._phase = Phase.ENDED
+            self._reason = f"{why_it_ended(parts[name].instance.log_texts)} (part '{name}')"
+            return
+        self._phase = Phase.FAILED
+        raise FmuError(f"{self.name}: {failure(answer, self._instances.wiring)}")
+
+    # -- values -------------------------------------------------------------------------------
+
+    def set(
+        self, values: Mapping[str, float | str] | ArrayLike | None = None, /, **named: float | str
+    ) -> None:
+        """Set inputs that nothing drives, or tunable parameters; see `Session.set`."""
+        self._require()
+        if values is not None:
+            named = {**sequence_by_name(self.name, self.inputs, values), **named}
+        plain = values_of(self._system.parts, named, self._connectors)
+        for key in plain:
+            self._reject_fixed(*key)
+        by_part: dict[str, dict[str, Any]] = {}
+        for (part, name), value in plain.items():
+            by_part.setdefault(part, {})[name] = value
+        if by_part:
+            self._change(by_part)
+
+    def _reject_fixed(self, part: str, name: str) -> None:
+        """Raise an error if a variable of a part cannot be set during a run."""
+        shown = f"{part}.{name}"
+        if (part, name) in self._driven:
+            raise UsageError(f"{self.name}: {shown} is connected and cannot be set")
+        variable = by_name(self._instances.parts[part].description)[name]
+        if not may_change(variable):
+            inputs = ", ".join(self.inputs) or "no inputs"
+            raise UsageError(
+                f"{self.name}: {shown} cannot be set during a run, which takes {inputs} and "
+                "tunable parameters; give it to reset(start_values=...)"
+            )
+
+    def _change(self, by_part: Mapping[str, Mapping[str, Any]]) -> None:
+        library, place = coupling_library(), ctypes.byref(self._run.c)
+        library.begin_changes(place)
+        self._answer(())
+        try:
+            for name, values in by_part.items():
+                part = self._instances.parts[name]
+                known = by_name(part.description)
+                with explained(self.name, part):
+                    variables = [known[v] for v in values]
+                    access_to(variables, part.instance, part.description).set([*values.values()])
+        finally:
+            library.end_changes(place)
+        self._answer(())
+
+    def get(self, names: Sequence[str] | None = None) -> Vector:
+        """Return values; see `Session.get`."""
+        if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
+            self._require()
+        chosen = self.outputs if names is None else listed(f"{self.name}: get", names)
+        groups = self._selections.get(chosen)
+        if groups is None:
+            groups = self._selection(chosen)
+            if len(self._selections) >= _LARGEST:
+                self._selections.clear()
+            self._selections[chosen] = groups
+        found = np.empty(len(chosen))
+        for part, access, columns, factors, offsets in groups:
+            with explained(self.name, part):
+                found[columns] = factors * np.array(access.get(), dtype=float) + offsets
+        return found
+
+    def _selection(self, names: tuple[str, ...]) -> list[tuple[Any, ...]]:
+        """Prepare what reads variables."""
+        by_part: dict[str, list[tuple[int, End]]] = {}
+        for column, name in enumerate(names):
+            end = self._behind(name)
+            by_part.setdefault(end.variable[0], []).append((column, end))
+        found = []
+        for name, columns in by_part.items():
+            part = self._instances.parts[name]
+            variables = [by_name(part.description)[end.variable[1]] for _, end in columns]
+            found.append(
+                (
+                    part,
+                    access_to(variables, part.instance, part.description),
+                    [column for column, _ in columns],
+                    np.array([end.factor for _, end in columns]),
+                    np.array([end.offset for _, end in columns]),
+                )
+            )
+        return found
+
+    def _behind(self, name: str) -> End:
+        """Return the variable of a part behind a name."""
+        connector = self._connectors.get(name)
+        if connector is not None and connector.shows:
+            return connector.ends[0]
+        _, ends, *_ = target(self._system.parts, self._connectors, name)
+        if len(ends) != 1:
+            raise UsageError(f"{self.name}: {name} is not a single number")
+        part, variable = ends[0].variable
+        if not is_number(by_name(self._instances.parts[part].description)[variable]):
+            raise UsageError(f"{self.name}: {name} is not a single number")
+        factor, offset = ends[0].factor, ends[0].offset
+        return End(ends[0].variable, 1 / factor, -offset / factor)
+
+    # -- states -------------------------------------------------------------------------------
+
+    @cached_property
+    def _states(self) -> PartStates:
+        found = PartStates(self.name, self._instances.parts)
+        self._place = uuid.uuid4().bytes
+        self._begun.callback(found.free)
+        return found
+
+    def save(self) -> bytes:
+        """Return the state of all parts and of the master; see `Session.save`.
+
+        If a part does not write its state as bytes, it holds for this session until its reset.
+        """
+        self._require()
+        states = self._states
+        numbers = np.empty(self._run.numbers(None))
+        self._run.numbers(numbers)
+        content, place = numbers.tobytes(), 0
+        if states.serializes:
+            content += states.write()
+        else:
+            place = states.keep()
+        return packed(self._saver, self._clock.facts, place, content, has_sum=False)
+
+    @property
+    def _saver(self) -> bytes:
+        return self._owner[:16] if self._states.serializes else self._place
+
+    def restore(self, saved: bytes) -> None:
+        """Go back, or forward, to a saved state; see `Session.restore`."""
+        self._reject_closed()
+        if type(saved) is not bytes:
+            UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
+        found = unpacked(saved, has_sum=False)
+        if found is None:
+            raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
+        owner, clock, place, content = found
+        if owner != self._saver:
+            raise UsageError(f"{self.name}: these bytes were saved by another session or system")
+        self._phase = Phase.FAILED
+        size = 8 * self._run.numbers(None)
+        if self._states.serializes:
+            self._states.read(content[size:])
+        else:
+            self._states.go_back(place)
+        self._run.numbers(np.frombuffer(content[:size]).copy(), back=True)
+        self._clock = Clock(*clock)
+        start, events = self._first
+        for part, own in zip(self._instances.parts.values(), events, strict=True):
+            part.instance.logged_events[:] = own if self.time == start else ()
+        self._answer(())
+
+    def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
+        """Reject the linearization of a system whose parts are FMUs."""
+        self._require()
+        raise UsageError(
+            f"{self.name} has FMUs as parts, whose equations are not known as one model; linearize "
+            "each of them in a session of its own"
+        )

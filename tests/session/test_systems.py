@@ -1,0 +1,354 @@
+"""Sessions of systems with FMUs as parts: the bits of whole runs, and going back as one."""
+
+import random
+import sys
+from math import exp
+
+import numpy as np
+import pytest
+from helpers.detours import detour, straight
+from helpers.exchange_only import WITHOUT_STATE, exchange_only
+from helpers.foreign_part import foreign_part
+from helpers.session_models import driven_ball
+
+import cosim
+from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+STEP = 0.01
+LOOP = {"motor.u": "load.y", "load.u": "motor.y"}
+WAYS = [
+    {"macro_step": STEP},
+    {"macro_step": STEP, "method": "jacobi"},
+    {"macro_step": STEP, "method": "gauss_seidel"},
+    {"macro_step": STEP, "method": "extrapolated"},
+    {},
+]
+EVERY_WAY = pytest.mark.parametrize("way", WAYS, ids=lambda way: "-".join(map(str, way.values())))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("parts")
+    ball = cosim.export_fmu(driven_ball(), folder / "ball.fmu", fmi=3)
+    exchange = cosim.export_fmu(driven_ball(), folder / "exchange.fmu", fmi=3)
+    return {
+        "ball": ball,
+        "exchange": exchange_only(exchange),
+        "stateless": exchange_only(exchange, **WITHOUT_STATE),
+        "lag": foreign_part(folder, "lag"),
+        "keeper": foreign_part(folder, "lag", canSerializeFMUstate="false"),
+        "forward": foreign_part(
+            folder, "lag", canGetAndSetFMUstate="false", canSerializeFMUstate="false"
+        ),
+        "fixed": foreign_part(
+            folder, "lag", canHandleVariableCommunicationStepSize="false", step_size=STEP
+        ),
+        "rounds": foreign_part(folder, "lag", grid=1e-5),
+    }
+
+
+def lags(files, motor="lag", load="lag", wires=LOOP):
+    """Two lags, x' = u - x; in a loop from 1 and 0, motor.x(t) = (1 + exp(-2t))/2."""
+    parts = {"motor": files[motor], "load": files[load]}
+    return cosim.couple(parts, wires, start_values={"motor.x": 1.0}, stop_time=1.0)
+
+
+def balls(files, ball):
+    """A ball with impacts and samples and what follows it, with an input left."""
+    wires = {"lag.u": "ball.h"}
+    return cosim.couple({"ball": files[ball], "lag": files["lag"]}, wires, stop_time=1.0)
+
+
+SYSTEMS = {
+    "loop": lags,
+    "chain": lambda files: lags(files, wires={"load.u": "motor.y"}),
+    "foreign state": lambda files: lags(files, "keeper", wires={"load.u": "motor.y"}),
+    "events": lambda files: balls(files, "ball"),
+    "exchange": lambda files: balls(files, "exchange"),
+    "stateless": lambda files: balls(files, "stateless"),
+}
+SERIALIZED = ("loop", "chain", "events")
+
+
+# -- bits -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("group", [1, 5])
+@pytest.mark.parametrize("way", WAYS[:-1], ids=lambda way: way.get("method", "iterated"))
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_session_has_the_bits_and_events_of_a_whole_run(name, way, group, files):
+    system = SYSTEMS[name](files)
+    whole = system.simulate(**way, output_interval=group * STEP)
+    with cosim.open(system, stop_time=1.0, **way) as session:
+        rows, events = [session.get()], []
+        for time in whole.time[1:]:
+            events += session.advance(to=time)
+            rows.append(session.get())
+    assert session.outputs == whole.names
+    np.testing.assert_array_equal(rows, whole.values)
+    assert [(e.time, e.name) for e in events] == [(e.time, e.name) for e in whole.events]
+
+
+@pytest.mark.slow_rows(*(f"{way}-{name}" for way in ("extrapolated", "gauss") for name in SYSTEMS))
+@EVERY_WAY
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "stateless"])
+def test_detours_change_no_bit(name, way, files):
+    choose = random.Random(name)
+    system = SYSTEMS[name](files)
+    push = [round(choose.uniform(-2, 2), 2) for _ in range(60)]
+    times = np.cumsum([choose.choice([STEP, 0.003, 0.0571, 1e-6]) for _ in push]).tolist()
+    with cosim.open(system, **way) as session:
+        expected = straight(session, push, times)
+    serialized = name in SERIALIZED
+    detour(
+        cosim.open(system, **way),
+        push,
+        expected,
+        choose,
+        moves=100,
+        copies=serialized,
+        outlives=serialized,
+    )
+
+
+@EVERY_WAY
+def test_loop_meets_its_closed_form(way, files):
+    bound = 4e-3 if way.get("method") in ("jacobi", "gauss_seidel") else 5e-5 if way else 1e-7
+    with cosim.open(lags(files), **way) as session:
+        for time in (0.1, 0.35, 1.0, 4.0):  # beyond the stop time of the system, too
+            session.advance(to=time)
+            assert session["motor.x"] == pytest.approx((1 + exp(-2 * time)) / 2, abs=bound)
+
+
+# -- exact values ---------------------------------------------------------------------------------
+
+
+def test_start_is_that_of_the_system_and_nothing_moves_by_itself(files):
+    with cosim.open(lags(files), macro_step=STEP) as session:
+        start = session.get(["motor.x", "load.x", "load.u"])
+        np.testing.assert_array_equal(start, [1, 0, 1])
+        assert session.advance(0) == session.advance(to=0.0) == ()
+        np.testing.assert_array_equal(session.get(["motor.x", "load.x", "load.u"]), start)
+        assert (session.time, session.stop, session.invalid) == (0.0, None, None)
+
+
+@EVERY_WAY
+def test_state_saved_at_an_event_goes_on_behind_it(way, files):
+    """The first sample is at 0.05, the second at 0.18; the control is -v/2 = 9.81 t/2 at first."""
+    with cosim.open(balls(files, "ball"), **way) as session:
+        before = session.save()
+        (first,) = session.advance(to=0.05)
+        assert (first.name, first.time) == ("ball: control", pytest.approx(0.05, abs=1e-16))
+        assert session["ball.pull"] == pytest.approx(9.81 * 0.05 / 2, abs=1e-9)
+        at, pull = session.save(), session["ball.pull"]
+        (second,) = session.advance(to=0.2)
+        assert second.time == pytest.approx(0.18, abs=1e-12)
+        after = session["ball.pull"]
+        session.restore(at)
+        assert (session["ball.pull"], session.advance(0)) == (pull, ())
+        (again,) = session.advance(to=0.2)
+        assert (again.time, session["ball.pull"]) == (second.time, after)
+        session.restore(before)
+        assert (session.time, session["ball.pull"]) == (0.0, 0.0)
+        assert [event.time for event in session.advance(to=0.2)] == [first.time, second.time]
+        assert session["ball.pull"] == pytest.approx(after, abs=1e-6)
+
+
+@EVERY_WAY
+def test_input_is_felt_at_once_and_constant_within_steps(way, files):
+    """x' = u - x from 1 with u = 3 from 0.5 on: 3 + (exp(-0.5) - 3) exp(-(t - 0.5))."""
+    system = lags(files, wires={"load.u": "motor.y"})
+    with cosim.open(system, **way) as session:
+        assert session.inputs == ("motor.u",)
+        session.advance(to=0.5)
+        session.set([3.0])
+        assert session["motor.u"] == 3.0
+        session.advance(to=1.0)
+        assert session["motor.x"] == pytest.approx(3 + (exp(-0.5) - 3) * exp(-0.5), abs=1e-9)
+
+
+# -- failures -------------------------------------------------------------------------------------
+
+
+@EVERY_WAY
+def test_failed_session_is_restored(way, files, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault="if (time + size > 0.45) return 3")
+    parts = {"motor": bad, "load": files["lag"]}
+    system = cosim.couple(parts, LOOP, start_values={"motor.x": 1.0}, stop_time=1.0)
+    with cosim.open(system, **way) as session:
+        session.advance(to=0.2)
+        saved, values = session.save(), session.get()
+        with pytest.raises(FmuError, match="part 'motor' failed"):
+            session.advance(to=0.6)
+        with pytest.raises(FmuError, match="the session has failed; go on with restore or reset"):
+            session.advance(0.1)
+        session.restore(saved)
+        np.testing.assert_array_equal(session.get(), values)
+        session.advance(to=0.4)
+        ahead = session["motor.x"]
+        with pytest.raises(FmuError):
+            session.advance(to=0.6)
+        session.reset()
+        session.advance(to=0.2)
+        session.advance(to=0.4)
+        assert session["motor.x"] == ahead
+
+
+def test_state_that_is_not_finite_ends_the_session_where_nothing_shows_it(files, tmp_path):
+    bad = foreign_part(tmp_path, "lag", fault="if (time > 0.4) self->x = NAN")
+    system = cosim.couple({"motor": bad, "load": files["lag"]}, {}, stop_time=1.0)
+    with cosim.open(system) as session:
+        session.advance(to=0.3)
+        saved = session.save()
+        with pytest.raises(FmuError, match=r"part 'motor': its state x is not finite at 0\.7 s"):
+            session.advance(to=0.7)
+        session.restore(saved)
+        assert session["motor.x"] == 0.0
+
+
+def test_part_that_ends_the_run_is_named_with_the_time(files):
+    model = cosim.Model("ending", stop_time=1.0)
+    x = model.state("x", "1", 0.0, "state")
+    model.derivative(x, 1.0)
+    model.stop(x > 0.3, "far enough")
+    system = cosim.couple({"a": model.freeze(), "b": files["lag"]}, {"b.u": "a.x"}, stop_time=1.0)
+    with cosim.open(system, macro_step=STEP) as session:
+        session.advance(to=0.2)
+        saved = session.save()
+        session.advance(to=0.9)
+        assert "far enough" in session.stop
+        assert "part 'a'" in session.stop
+        assert session.time == pytest.approx(0.3, abs=1e-9)
+        assert session["a.x"] == pytest.approx(0.3, abs=1e-9)
+        with pytest.raises(FmuError, match="the run has ended at 0"):
+            session.advance(0.1)
+        session.restore(saved)
+        assert (session.time, session.stop) == (0.2, None)
+
+
+def test_parts_that_cannot_do_it_are_named(files):
+    with cosim.open(lags(files, "forward"), macro_step=STEP) as session:
+        session.advance(0.1)
+        with pytest.raises(FmuError, match="cannot save its state, as motor cannot; begin again"):
+            session.save()
+        session.reset()
+        assert (session.time, session["motor.x"]) == (0.0, 1.0)
+    stateless = cosim.open(balls(files, "stateless"))
+    with stateless, pytest.raises(FmuError, match="cannot save its state, as ball cannot"):
+        stateless.save()
+    with cosim.open(lags(files, "keeper")) as session:
+        saved = session.save()
+        with pytest.raises(FmuError, match="cannot be copied"):
+            session.copy()
+        session.reset()
+        with pytest.raises(UsageError, match="another session"):
+            session.restore(saved)
+
+
+def test_steps_of_one_length_are_the_only_ones(files):
+    with cosim.open(lags(files, "fixed"), macro_step=STEP) as session:
+        session.advance(to=0.05)
+        with pytest.raises(ParameterError, match=r"no multiple of .* s after the start"):
+            session.advance(0.005)
+        session.advance(to=0.06)
+        assert session.time == 0.06
+
+
+WRONG = [
+    (lambda s: s.set({"nothing.u": 1.0}), UnknownName, "no part 'nothing'"),
+    (lambda s: s.set({"motor.v": 1.0}), UnknownName, "no variable 'v'"),
+    (lambda s: s.set({"load.u": 1.0}), UsageError, "load.u is connected and cannot be set"),
+    (lambda s: s.set({"motor.x": 1.0}), UsageError, "motor.x cannot be set during a run"),
+    (lambda s: s.set({"motor.u": "1 m"}), ParameterError, "motor.u"),
+    (lambda s: s.set({"motor.u": float("nan")}), ParameterError, "nan is not finite"),
+    (lambda s: s.set([1.0, 2.0]), UsageError, "one for each of its 1 inputs motor.u"),
+    (lambda s: s.get(["x"]), UnknownName, "no part 'x'"),
+    (lambda s: s.advance(), UsageError, "give one"),
+    (lambda s: s.advance(to=2.0), ParameterError, "after the stop time 1 s"),
+    (lambda s: s.reset({"load.u": 1.0}), UsageError, "load.u is connected and given a value"),
+    (lambda s: s.restore(b""), UsageError, "no saved session, or damaged"),
+    (lambda s: s.linearize(), UsageError, "linearize"),
+]
+
+
+@pytest.mark.parametrize(("call", "kind", "words"), WRONG, ids=[words for *_, words in WRONG])
+def test_wrong_calls_say_why_and_change_nothing(call, kind, words, files):
+    with cosim.open(lags(files, wires={"load.u": "motor.y"}), stop_time=1.0) as session:
+        session.advance(0.1)
+        time, values = session.time, session.get()
+        with pytest.raises(kind, match=words):
+            call(session)
+        np.testing.assert_array_equal((session.time, *session.get()), (time, *values))
+
+
+def test_states_of_other_systems_and_damaged_ones_are_rejected(files):
+    with cosim.open(lags(files)) as session, cosim.open(balls(files, "ball")) as other:
+        saved = session.save()
+        with pytest.raises(UsageError, match="saved by another session or system"):
+            other.restore(saved)
+        for place in range(0, len(saved), 7):
+            damaged = bytearray(saved)
+            damaged[place] ^= 1 << place % 8
+            with pytest.raises(UsageError, match="damaged"):
+                session.restore(bytes(damaged))
+
+
+# -- from files -----------------------------------------------------------------------------------
+
+
+def test_systems_open_from_their_files(files, tmp_path):
+    system = lags(files, wires={"load.u": "motor.y"})
+    toml = tmp_path / "pair.toml"
+    toml.write_text(
+        f"stop_time = 1.0\n[parts]\nmotor = '{files['lag']}'\nload = '{files['lag']}'\n"
+        "[connections]\n'load.u' = 'motor.y'\n[start_values]\n'motor.x' = 1.0\n"
+    )
+    package = system.write_ssp(tmp_path / "pair.ssp")
+    for place in (toml, str(toml), package, str(package)):
+        with cosim.open(place, start_values={"motor.u": 2.0}, macro_step=STEP) as session:
+            session.advance(to=0.5)
+            assert session["motor.x"] == pytest.approx(2 - exp(-0.5), abs=1e-9)
+
+
+def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
+    toml = tmp_path / "shafts.toml"
+    toml.write_text("[parts]\na = 'crank_shaft'\n[start_values]\n'a.omega' = 10.0\n")
+    with cosim.open(toml) as session:
+        session.advance(to=1.0)  # alpha is 10 rad/s2
+        assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
+    with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
+        cosim.open(toml, macro_step=STEP)
+
+
+def test_copies_of_a_system_are_advanced_together(files):
+    system = lags(files, wires={"load.u": "motor.y"})
+    with cosim.open(system, copies=3, start_values={"motor.u": [1.0, 2.0, 3.0]}) as copies:
+        saved = copies.save()
+        copies.advance(to=0.5)
+        expected = [u + (1 - u) * exp(-0.5) for u in (1, 2, 3)]
+        np.testing.assert_allclose(copies["motor.x"], expected, rtol=0, atol=1e-9)
+        copies.restore(saved)
+        np.testing.assert_array_equal(copies["motor.x"], [1, 1, 1])
+
+
+def test_closing_frees_the_instances_and_runs_go_on_beside_a_session(files):
+    system = lags(files)
+    session = cosim.open(system, macro_step=STEP)
+    session.advance(0.1)
+    run = system.simulate(macro_step=STEP, output_interval=STEP)
+    other = session.copy()
+    session.close()
+    with pytest.raises(FmuError, match="closed"):
+        session.get()
+    session.close()
+    other.advance(to=1.0)
+    assert other["motor.y"] == run.final["motor.y"]
+    other.close()
+
+
+def test_solver_is_that_of_the_parts(files):
+    with pytest.raises(UsageError, match="its parts have their own solvers"):
+        cosim.open(lags(files), solver="cvodes")
+    with pytest.raises(UsageError, match="leave macro_step out"):
+        cosim.open(lags(files), accuracy=1e-6, macro_step=STEP)
