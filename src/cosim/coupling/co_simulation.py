@@ -25,7 +25,7 @@ from cosim.coupling.failures import (
     notes_of,
     violations,
 )
-from cosim.coupling.opened_part import Ability, OpenedPart, explained, is_continuous
+from cosim.coupling.opened_part import Ability, OpenedPart, explained
 from cosim.coupling.own_steps import own_steps
 from cosim.coupling.settings import Method, Settings
 from cosim.coupling.stability import Ranges, reject_instability
@@ -33,7 +33,7 @@ from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import by_name, invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, lost_state, numeric_names, rounding
-from cosim.fmi.run.typed_values import start_number
+from cosim.fmi.run.typed_values import is_continuous, start_number
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible

@@ -14,7 +14,6 @@ from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
 from cosim.fmi.run.c_structures import Calls, Functions, Recorded
 from cosim.fmi.run.instance import (
-    REALS,
     Interface,
     asks_for_inputs,
     begin_initialization,
@@ -22,6 +21,7 @@ from cosim.fmi.run.instance import (
     is_second,
 )
 from cosim.fmi.run.opened import OpenedFmu
+from cosim.fmi.run.typed_values import is_continuous
 from cosim.fmi.trust import is_made_here
 
 
@@ -214,11 +214,6 @@ class OpenedPart:
                 names = {variable.name for variable in unknown.dependencies}
                 row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
-
-
-def is_continuous(variable: Any) -> bool:
-    """Tell whether an input may change at any time."""
-    return variable.type in REALS and variable.variability == "continuous"
 
 
 def _in_order(

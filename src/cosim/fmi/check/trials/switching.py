@@ -15,13 +15,13 @@ from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import Bench, Note, Skipped, reject_lateness
 from cosim.fmi.run.arrays import Access
 from cosim.fmi.run.instance import (
-    NUMERIC,
     Interface,
     access_to,
     by_name,
     enter_continuous_time,
     update_discrete_states,
 )
+from cosim.fmi.run.typed_values import NUMERIC
 
 _TIGHT = 1e-10  # relative tolerance of the reference
 _SHARE = 1e-4  # of a range: a difference that counts
