@@ -40,6 +40,7 @@ class Ability(StrEnum):
     ROLLBACK = "rollback"  # to a saved state
     DIRECTIONAL = "directional derivatives"
     EVENTS = "event mode"
+    CO_SIMULATION = "co-simulation"  # of a file that has model exchange as well
 
 
 def unused_abilities(
@@ -90,7 +91,8 @@ class OpenedPart:
         unused: Collection[Ability] = (),
     ) -> None:
         self.name, self.path = name, path
-        self._fmu = fmu = OpenedFmu(path)
+        interface = Interface.MODEL_EXCHANGE if Ability.CO_SIMULATION in unused else None
+        self._fmu = fmu = OpenedFmu(path, interface)
         fmu.reset_is_enough = is_made_here(path)
         self.description = fmu.description
         self.instance: Any = None
