@@ -285,7 +285,7 @@ class CoSimulation:
         length = settings.stop - settings.start
         lengths = (settings.macro_step, settings.interval, length)
         default = settings.accuracy is None
-        steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
+        steps = own_steps(self.name, self.parts, *lengths, share, at_internal_steps=default)
         parts, held = self._structures(columns, tables, steps.of_parts)
         scale, grows = self._scales()
         texts = [v.type == "String" for v in self._input_variables]

@@ -124,7 +124,8 @@ class OpenedPart:
         self.any_step = exchange or bool(abilities.canHandleVariableCommunicationStepSize)
         internal = getattr(abilities, "fixedInternalStepSize", None)
         self.internal_step = float(internal or 0.0)
-        self.named_step = float(getattr(fmu.description.defaultExperiment, "stepSize", None) or 0)
+        named = getattr(fmu.description.defaultExperiment, "stepSize", None)
+        self.only_step = self.internal_step or float(named or 0.0)  # if it does not take any
         if exchange:
             self._reject_for_exchange(unused)
             self.order = InputOrder.CUBIC if interpolates else InputOrder.CONSTANT
@@ -154,6 +155,11 @@ class OpenedPart:
                 f"part '{self.name}' is for model exchange, which always has event mode; leave "
                 "'no event mode' out of its abilities"
             )
+
+    @property
+    def holds_inputs(self) -> bool:
+        """Whether inputs that move stay as they are within each of its steps."""
+        return bool(self.moving_inputs) and self.order is InputOrder.CONSTANT
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
