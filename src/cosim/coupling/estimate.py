@@ -27,7 +27,7 @@ def estimated_error(
         ordered: Whether the method has its order: without it, the error is at least as large as the
             change.
     """
-    falls = min(ratio, 0.8) ** _FALLS
+    falls: float = min(ratio, 0.8) ** _FALLS
     left = falls if ordered else max(falls, _UNKNOWN)
     if change > accuracy:  # the order counts if it has been observed
         observed = min(change / before, _UNKNOWN) if before else _UNKNOWN

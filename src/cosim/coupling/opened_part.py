@@ -22,7 +22,6 @@ from cosim.fmi.run.instance import (
 )
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.run.typed_values import is_continuous
-from cosim.fmi.trust import is_made_here
 
 
 class InputOrder(IntEnum):
@@ -93,7 +92,6 @@ class OpenedPart:
         self.name, self.path = name, path
         interface = Interface.MODEL_EXCHANGE if Ability.CO_SIMULATION in unused else None
         self._fmu = fmu = OpenedFmu(path, interface)
-        fmu.reset_is_enough = is_made_here(path)
         self.description = fmu.description
         self.instance: Any = None
         self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
