@@ -20,8 +20,9 @@ sys.dont_write_bytecode = False
 
 
 TIME_LIMIT = 600  # s; the slowest test takes about 100 s on two busy cores
+SLOW_SHARE = 0.3  # of the slow rows of every table; the others are nightly
 GOLDEN = 0.6180339887498949  # its multiples fall in step with no period of a table
-ROWS = Counter[str]()  # of each table, as they are collected
+COUNTS = Counter[str]()  # of the rows of each table, as they are collected
 
 
 def pytest_configure() -> None:
@@ -33,22 +34,28 @@ def pytest_configure() -> None:
             signal.signal(kind, handler)
 
 
+def is_in_sample(rows: str, share: float) -> bool:
+    """Return whether the next of these rows is in a fixed sample of them; the first one is."""
+    COUNTS[rows] += 1
+    return (COUNTS[rows] - 1) * GOLDEN % 1 < share
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark slow rows of tables, and give every test a time limit but the nightly ones.
+    """Mark slow and nightly rows of tables; give all tests but those marked nightly a time limit.
 
     A thread ends the session at the limit: signals belong to the tests, and would not end C code.
     """
-    row = item.nodeid.partition("[")[2][:-1]
+    table, _, row = item.nodeid.removesuffix("]").partition("[")
     slow, quick = (item.get_closest_marker(f"{kind}_rows") for kind in ("slow", "quick"))
     if (slow and row in slow.args) or (quick and row not in quick.args):
         item.add_marker("slow")
-    if share := item.get_closest_marker("quick_share"):
-        table = item.nodeid.partition("[")[0]
-        if ROWS[table] * GOLDEN % 1 >= share.args[0]:
-            item.add_marker("slow")
-        ROWS[table] += 1
+    share = item.get_closest_marker("quick_share")
+    if share and not is_in_sample(table, share.args[0]):
+        item.add_marker("slow")
     if item.config.pluginmanager.has_plugin("timeout") and not item.get_closest_marker("nightly"):
         item.add_marker(pytest.mark.timeout(TIME_LIMIT, method="thread"), append=False)
+    if row and item.get_closest_marker("slow") and not is_in_sample(f"slow {table}", SLOW_SHARE):
+        item.add_marker("nightly")
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k

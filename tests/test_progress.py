@@ -225,6 +225,7 @@ def test_run_with_many_events_shows_the_share_of_simulated_time(solver, events, 
     assert any(20 < share < 80 for share in shares)
 
 
+@pytest.mark.slow
 def test_coupled_run_shows_the_share_of_simulated_time(monkeypatch):
     system = cosim.couple({"a": sampled()}, {})
     terminal = shown_at_once(monkeypatch)

@@ -45,6 +45,7 @@ def test_scene_says_what_it_sets(name):
     assert f"<td>{scene.dae.full_name}</td>" in scene._repr_html_()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_pickled_model_is_the_same_model(name):
     dae = cosim.load(name)

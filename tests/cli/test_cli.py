@@ -191,6 +191,7 @@ def test_list_names_every_formulation_in_text_and_in_json(verb, capsys):
     assert all(re.search(rf"^{name} ", text, re.MULTILINE) for name in casadi_models.CATALOG)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_info_shows_unit_start_and_meaning_of_every_variable(name, capsys):
     assert main(["info", name, "--json"]) == 0

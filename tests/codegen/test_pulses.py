@@ -46,6 +46,7 @@ def ends_of(dae, step=0.1):
     return pulse_times(dae, p, 0.0, 10.0, step)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "dop853-0.001",
     "erk-0.001",

@@ -102,6 +102,7 @@ def test_order_of_the_parts_changes_no_bit(name, method):
         np.testing.assert_array_equal(runs[0][column], runs[1][column])
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "driven_frame-iterated",
     "digital_ride-iterated",

@@ -81,6 +81,7 @@ def test_every_method_steps_parts_for_model_exchange(method, bound, attributes, 
     assert error_of(run) < bound  # measured 8.3e-2, 2.5e-2, 4.3e-5, 1.6e-6
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("attributes", [{}, WITHOUT_STATE], ids=["state", "without"])
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-9])
 def test_accuracy_is_kept_beside_a_model(accuracy, attributes, files):
@@ -90,6 +91,7 @@ def test_accuracy_is_kept_beside_a_model(accuracy, attributes, files):
     assert run.stats["order"]["motor"] == "cubic inputs, events end macro steps"
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("words", "macro_steps"),
     [

@@ -94,6 +94,7 @@ def test_numbers_of_ssp_2_are_read_and_values_for_no_part_rejected(tmp_path):
         cosim.read_ssp(wrong)
 
 
+@pytest.mark.slow
 def test_fmpy_reads_the_same_connections(ssp):
     description = read_ssd(str(ssp))
     assert len(description.system.connections) == len(cosim.read_ssp(ssp).connections) == 6

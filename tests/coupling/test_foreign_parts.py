@@ -49,6 +49,7 @@ def test_value_that_is_not_finite_ends_the_run_with_the_part_and_its_output(
     assert caught.value.partial.time[-1] == pytest.approx(0.4, abs=0.02)
 
 
+@pytest.mark.quick_share(0.3)
 @EVERY_WAY
 def test_state_that_is_not_finite_ends_the_run_where_nothing_shows_it(way, tmp_path):
     bad = foreign_part(tmp_path, "lag", fault="if (time > 0.4) self->x = NAN")
@@ -72,6 +73,7 @@ def test_output_derivatives_that_are_not_finite_count_as_none(way, tmp_path):
     assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=bound)
 
 
+@pytest.mark.quick_share(0.3)
 @EVERY_WAY
 @pytest.mark.parametrize(("status", "word"), [(2, "discard"), (3, "error"), (4, "fatal")])
 def test_part_that_fails_is_named_with_its_status(way, status, word, tmp_path):
@@ -256,6 +258,7 @@ def test_noise_that_is_found_late_ends_the_run_soon():
     assert caught.value.partial.stats["macro_steps"] < 10_000
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("method", ["jacobi", "gauss_seidel", "extrapolated", "iterated"])
 @pytest.mark.parametrize("step", [0.1, 0.04])
 def test_discrete_outputs_are_constant_within_macro_steps(step, method, tmp_path):

@@ -78,6 +78,7 @@ def test_files_of_others_with_fewer_abilities_are_as_accurate_as_asked(seed, tmp
 SWITCHED_OFF = ["", "no rates", "no rollback", "no rollback, no rates"]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     "lacking", [dict.fromkeys("ab", t) if t else {} for t in SWITCHED_OFF], ids=str
 )

@@ -82,6 +82,7 @@ def test_below_its_limit_jacobi_gives_what_its_theory_says(ratio, runs):
 
 
 # 4 + sqrt(8): as unstable with half the step, so that both runs have the same size
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("ratio", [2.1, 3.0, 4 + 8**0.5, 20.0, 1000.0])
 def test_above_its_limit_jacobi_ends_with_an_error(ratio):
     step = ratio / 20.0

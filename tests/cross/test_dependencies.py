@@ -109,6 +109,7 @@ class Influence:
 CANCELLING = 0.05
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("bicycle/multipliers")
 @EVERY
 def test_outputs_and_derivatives_depend_on_what_is_declared_and_on_nothing_else(name, exported):

@@ -106,6 +106,7 @@ def follower():
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", [{"solver": "dop853"}, {"solver": "rk4", "step_size": 0.05}])
 @pytest.mark.parametrize(
     ("inputs", "law"),

@@ -93,6 +93,7 @@ def test_communication_step_does_not_matter(name, step, exported):
         assert gap <= BOUND * column.nominal, column.name  # measured 1e-14 to 2e-8
 
 
+@pytest.mark.quick_share(0.3)
 @EVERY
 def test_fmpy_without_any_option_gives_the_right_numbers(name, exported):
     result = fmpy.simulate_fmu(str(exported(name)))

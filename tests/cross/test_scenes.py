@@ -146,7 +146,7 @@ def test_exercises_7_3_and_7_4_are_7_2_by_other_steps_and_other_equations():
     assert cosim.compare(second, third, bound=5e-6).agrees  # measured 2.3e-7
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_kick_moves_the_bicycle_alike_in_every_formulation():
     checks = list(crosscheck([accurate(cosim.read_scene("bicycle_steer_kick.toml"), 2.0)]))
     assert {check.model for check in checks} == {

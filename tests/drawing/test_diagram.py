@@ -32,6 +32,7 @@ def test_text_leaves_the_line_that_its_point_lies_on():
     assert bottom <= 100 or top >= 100
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_diagram_has_no_text_on_another(name, monkeypatch):
     sheets = []

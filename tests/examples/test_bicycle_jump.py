@@ -144,7 +144,7 @@ def fmu(tmp_path_factory):
 
 # Largest difference of final values from native simulation; measured 2e-12 and, with an importer
 # that starts anew at each place of the bump, 9e-7 of the value
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("interface", "bound"), [("CoSimulation", 1e-10), ("ModelExchange", 2e-6)])
 def test_an_fmu_jumps_as_the_native_model_does(fmu, interface, bound):
     names = ("x", "z", "theta", "x_dot", "z_dot", "theta_dot", "spinA", "spinD", "loss")

@@ -39,6 +39,7 @@ def error(name: str, run: cosim.Trajectory) -> float:
     return max(abs(run[n][-1] - v) / max(sizes[n], abs(v)) for n, v in exact(name).items())
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("four_bars_a02")
 @EVERY
 def test_example_is_right_by_default(name):
@@ -46,6 +47,7 @@ def test_example_is_right_by_default(name):
     assert error(name, run) < 1e-5
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("andrews")
 @EVERY
 def test_example_is_right_to_eight_digits(name):
@@ -97,6 +99,7 @@ def a02(request, tmp_path_factory):
     return cosim.export_fmu(example(LOSES_RANK), path, fmi=request.param)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("2-1e-05-0.1", "3-1e-05-0.1")
 @pytest.mark.parametrize("interval", [0.1, 0.01])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7, 1e-9, 1e-10])

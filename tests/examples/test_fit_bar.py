@@ -32,7 +32,7 @@ def exact(example):
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_errors_of_a_hundred_records_are_as_the_cramer_rao_bound_says(example, exact):
     jacobian = example["slopes"]([*TRUE.values()], [*TRUE], exact)
     assert jacobian.shape == (60, 3)

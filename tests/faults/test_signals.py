@@ -208,6 +208,7 @@ def test_a_time_limit_that_is_no_positive_time_is_rejected(verb, limit, capsys):
     assert "argument --timeout: " in capsys.readouterr().err
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("limit", [None, inf, MOST_WAIT, 2 * MOST_WAIT, 1e10, 10**12])
 def test_a_long_limit_of_an_fmu_limits_nothing(limit, exported):
     assert len(run_apart(exported("bar_on_frame"), timeout=limit, stop_time=0.1)) > 1

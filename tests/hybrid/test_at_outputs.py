@@ -50,6 +50,7 @@ def assert_all_at_its_time(time, whole, counts):
     assert [count[-1] for count in counts] == [1, 1]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_what_is_reached_at_an_output_time_happens_there(solver):
     run = cosim.simulate(clock(), solver=solver)
@@ -96,6 +97,7 @@ def slow_clock(rate):
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_slow_state_reaches_its_boundary_at_the_last_instant(solver):
     for rate in (1e-6, 1e-12, 1e3):
@@ -103,6 +105,7 @@ def test_a_slow_state_reaches_its_boundary_at_the_last_instant(solver):
         assert run["n"].tolist() == [0, 0, 0, 0, 0, 0, 1]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(("fmi", "interface"), INTERFACES)
 def test_a_slow_state_does_so_in_an_fmu(fmi, interface):
     path = cosim.export_fmu(slow_clock(1.0), FOLDER / f"slow_clock_{fmi}.fmu", fmi=fmi)
@@ -123,6 +126,7 @@ def test_what_comes_to_rest_at_a_boundary_never_reaches_it(solver):
     assert cosim.simulate(model.freeze(), solver=solver).final["n"] == 0
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_touch_at_an_output_time_is_none(solver):
     model = cosim.Model("touch", stop_time=2.0, output_interval=INTERVAL)

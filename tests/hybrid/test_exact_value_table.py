@@ -246,6 +246,7 @@ def discrete_model():
     return integrals(model, {"n": n})
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("to it from below-dop853")
 @pytest.mark.parametrize("engine", marked(ENGINES, "dop853"))
 @pytest.mark.parametrize("path", STAIRS)
@@ -264,6 +265,7 @@ def parameter_model():
     return integrals(model, {"p": model.parameter("p", "1", 0.0, "argument")})
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0, 1.5, 2.0, -1.0, 1 - 2**-53, 1 + 2**-52])
 def test_a_law_of_a_parameter_has_its_value(value, engine):
@@ -307,6 +309,7 @@ def time_model(group):
     return integrals(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("jumping-cvodes", "jumping-fmu2 cs fmpy")
 @pytest.mark.parametrize("engine", marked(ENGINES))
 @pytest.mark.parametrize("group", TIMES)

@@ -127,6 +127,7 @@ JUMPING = {
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("counter-CoSimulation", "sign below 1-CoSimulation")
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(
@@ -210,6 +211,7 @@ def test_a_sample_at_a_jump_of_its_input_takes_the_new_value_and_happens_once(ba
     assert len({event.time for event in run.events}) == len(run.events) == 11
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("1e-15-dop853")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock", "idas", "dop853"])
 @pytest.mark.parametrize("duration", [1.0, 1e-12, 1e-15])

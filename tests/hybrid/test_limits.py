@@ -36,6 +36,7 @@ def expect(stats, limit, within):
         assert reason.time == pytest.approx(LEAVES[limit], abs=within)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("limit", LEAVES)
 @pytest.mark.parametrize("solver", NATIVE)
 def test_native_run_with_few_output_times(solver, limit):
@@ -45,6 +46,7 @@ def test_native_run_with_few_output_times(solver, limit):
     assert len(run) == 3
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("limit", LEAVES)
 def test_runs_in_lanes_with_few_output_times(limit):
     many = cosim.simulate_many(oscillator(limit), {"v": [1.0, 0.5, 1.0]}, output_times=SPARSE)
@@ -83,6 +85,7 @@ def fmu_stats(folder, limit, fmi, solver, **run):
     return cosim.simulate_fmu(path, output_interval=6.5, **run).stats
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("limit", LEAVES)
 def test_co_simulation_with_long_steps(tmp_path, limit):
     stats = fmu_stats(tmp_path, limit, 3, "dop853")

@@ -126,6 +126,7 @@ def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: 
         expect(run.stats, kind, width)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("in two states-2", "bump-2", "bump-3", "often-3")
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", MARGINS)

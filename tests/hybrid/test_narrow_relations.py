@@ -131,6 +131,7 @@ def rotation(kind: str) -> tuple[Dae, float]:
     return model.freeze(), float(begin)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("backend", ["native", "CoSimulation"])
 @pytest.mark.parametrize(("solver", "error"), [("ode8", 1e-9), ("rk4", 1.5e-3)])
 @pytest.mark.parametrize("kind", ["one state", "a product"])

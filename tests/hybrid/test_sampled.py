@@ -65,6 +65,7 @@ def advances(monkeypatch):
     return found
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("planned-dop853")
 @pytest.mark.parametrize("solver", COMPILED)
 @pytest.mark.parametrize("period", ["every", "planned"])

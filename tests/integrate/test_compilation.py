@@ -83,6 +83,7 @@ def test_run_is_interpreted_where_the_compiler_gives_up_unless_compilation_is_re
         cosim.simulate(heat(21), compiled=True, **OPTIONS)
 
 
+@pytest.mark.slow
 def test_bare_integrator_of_a_large_model_is_interpreted(cold, monkeypatch):
     monkeypatch.setattr(compiler, "compile_library", fail)
     dae = rod()

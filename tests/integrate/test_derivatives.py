@@ -96,6 +96,7 @@ def table():
         yield pytest.param(name, solver, compiled, marks=[] if quick else pytest.mark.slow)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "crank_shaft/multipliers-idas-False",
     "crank_shaft/multipliers-idas-True",

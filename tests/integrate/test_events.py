@@ -55,6 +55,7 @@ BALL_ERRORS = {
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("ode8", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_impacts_of_a_ball_happen_at_their_closed_form(solver):
@@ -173,6 +174,7 @@ def test_fmu_does_not_step_over_friction_that_rises_just_before_the_rest(tmp_pat
     assert np.abs(run["v"][run.time > 1.3]).max() < 1e-14
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("dop853", "ode8")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_outputs_are_those_of_the_mode_of_their_time(solver):
@@ -236,6 +238,7 @@ def test_block_sticks_and_slips_under_a_periodic_force(solver):
     )
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_relation_of_time_is_met_exactly(solver):
@@ -271,6 +274,7 @@ def random_pulses(count, solver):
     return seen
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("dop853", "erk", "rosenbrock")
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_no_pulse_is_missed(solver):

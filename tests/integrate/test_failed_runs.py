@@ -84,6 +84,7 @@ CASES = [
 ]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("emptying-erk-True", "singular-rosenbrock-False")
 @pytest.mark.parametrize(("build", "solver", "compiled"), CASES)
 def test_computed_part_agrees_with_a_run_that_was_to_stop_there(build, solver, compiled):

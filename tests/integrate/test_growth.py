@@ -60,6 +60,7 @@ def test_growth_is_seen_in_lanes(times):
     )
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("master", "times"),
     [("fmpy", {}), ("fmpy", {"output_interval": 30}), ("fmpy", LONG), ("c", {})],
@@ -103,6 +104,7 @@ def test_ctrl_c_in_lanes_begins_no_run_alone(monkeypatch):
         cosim.simulate_many(pendulum(), {"x": [0.1, 0.0]})
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("master", ["fmpy", "c"])
 def test_a_line_that_leaves_the_range_of_a_function_ends_no_run(tmp_path, master, fmi):

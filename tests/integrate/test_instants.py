@@ -29,6 +29,7 @@ def test_run_that_a_stop_ends_is_computed_again_at_just_the_requested_times(solv
             assert run.at(t)["x"] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("period", [7, 10, 23])
 @pytest.mark.parametrize("solver", ["dop853", "rk4", "cvodes"])
 def test_samples_at_output_times_are_in_their_rows(solver, period):

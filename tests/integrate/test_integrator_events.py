@@ -79,6 +79,7 @@ def test_steps_of_an_input_move_a_block_that_rests_with_friction():
     )
 
 
+@pytest.mark.slow
 def test_optimization_finds_the_throw_that_bounces_to_a_height():
     run = cosim.integrator(ball(), [0.0, 1.0], solver="dop853", relative_tolerance=1e-10)
     speed = ca.MX.sym("speed")
@@ -164,6 +165,7 @@ def test_derivatives_by_tiny_numbers_are_as_accurate_as_others(size, solver):
     assert float(by(size)) == pytest.approx(-0.2665667639767548, abs=1e-6)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("dop853-True", "rosenbrock-True")
 @pytest.mark.parametrize("has_events", [False, True])
 @pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])

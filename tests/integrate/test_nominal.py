@@ -120,6 +120,7 @@ def error_of_swing(run, size):
     return np.abs(run["x"] / size - np.cos(2 * run.time)).max()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", ADAPTIVE)
 @pytest.mark.parametrize("size", SIZES)
 def test_swing_of_any_size_is_as_accurate_as_that_of_1(solver, size):

@@ -24,6 +24,7 @@ def best():
     return bring_up("dop853")
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("cvodes-True", "ode8-True", "cvodes-False", "idas-False", "rosenbrock-False")
 @pytest.mark.parametrize(("solver", "compiled"), WAYS)
 def test_every_solver_brings_the_bar_up_with_the_same_torque(solver, compiled):

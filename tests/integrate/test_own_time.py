@@ -61,6 +61,7 @@ BOTH = [
 ]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(*(f"{n}-{c}" for n, c in BOTH if n not in ("cvodes", "idas", "rk4")))
 @pytest.mark.parametrize(("name", "compiled"), BOTH)
 @pytest.mark.parametrize("largest", [None, 0.004])

@@ -28,6 +28,7 @@ def after_an_impulse(area, place=PLACE):
     return 25 * area / SPEED * np.exp(-t / 2) * np.sin(w * t) / w
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_bump_between_two_steps_is_not_passed_over(shape, solver):
@@ -170,6 +171,7 @@ def test_rows_that_let_a_solver_see_a_bump_are_in_the_motion():
     assert abs(run["x_2"][-1] / right - 1) < 1e-3  # before: 1
 
 
+@pytest.mark.slow
 def test_a_bump_that_shifts_those_after_it_is_seen_each_time():
     x, v = SX.sym("x"), SX.sym("v")
     width = 1.7e-3
@@ -245,6 +247,7 @@ def moved_bump(**more):
     return cosim.from_casadi(laws, {"place": PLACE}, name="moved", stop_time=7, **more)
 
 
+@pytest.mark.slow
 def test_many_runs_see_the_bump_of_each():
     places = np.array([PLACE, 33.3, 60.1])
     many = cosim.simulate_many(moved_bump(output_interval=0.5), {"place": places})
@@ -267,6 +270,7 @@ def test_an_integrator_warns_of_a_bump():
         cosim.integrator(moved_bump(), [0.0, 7.0])
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 @pytest.mark.parametrize("shape", ["gauss", "tanh"])
 def test_a_bump_in_two_coordinates_is_seen(shape, solver):

@@ -7,7 +7,6 @@ that size; the same with 4e-5 s tells how far it can be trusted.
 import numpy as np
 import pytest
 from helpers.random_models import random_model, solution
-from helpers.samples import sampled
 
 import cosim
 from cosim.errors import SolverError
@@ -33,8 +32,8 @@ def is_right(seed, solver, *, algebraic=False, **options):
     return True
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("first", sampled(range(0, 200, BLOCK), (), range(0, 40, BLOCK)))
+@pytest.mark.nightly
+@pytest.mark.parametrize("first", range(0, 200, BLOCK))
 def test_random_models_are_right_or_rejected(first):
     right = [is_right(seed, "cvodes") for seed in range(first, first + BLOCK)]
     assert right.count(False) <= MOST_REJECTED

@@ -113,6 +113,7 @@ def resting_pendulum(restitution):
     return dae, {"stop": 0.2, "theta": 1.0, "e": restitution}  # gravity presses it on the stop
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "idas", "rk4"])
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_a_body_that_comes_to_rest_on_another_does_not_sink_into_it(solver, restitution):

@@ -43,6 +43,7 @@ def refusal(name, kind):
 # -- names ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_every_name_of_the_catalogue_is_built(name):
     dae = cosim.load(name)

@@ -80,6 +80,7 @@ def test_overrides_of_the_caller_stay_as_they_are(crank):
     assert type(given["omega"]) is int
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     "value", [0, -0.1, 5e-324, 1e308, math.nan, math.inf, -math.inf, True, "2"]
 )

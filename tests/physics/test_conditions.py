@@ -86,6 +86,7 @@ def unit_diagonal(mass):
     return mass / np.outer(size, size)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "crank_shaft/multipliers",
     "bar_on_frame/two_body",

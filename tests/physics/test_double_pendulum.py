@@ -303,6 +303,7 @@ def test_a_gap_in_a_joint_closes_with_its_double_root(formulations):
     np.testing.assert_allclose(gaps, np.outer(decay, gaps[0]), rtol=0, atol=1e-9)  # measured 7e-12
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("0.1", "0.001", "1e-06", "1e-10", "1e-12")
 @pytest.mark.parametrize("offset", [10.0**-k for k in range(1, 13)])
 def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, offset):

@@ -347,6 +347,7 @@ def height_in(figure, left, right):
     return float(np.ptp(faces[inside, 1]))
 
 
+@pytest.mark.slow
 def test_path_that_goes_on_after_the_last_pose_does_not_shrink_the_bodies():
     played = poses_of([{}], [0.0, 0.5, 1.0])  # the path is 92 m long
     figure = draw_pose(played, [0, 1, 2], follow="")

@@ -251,6 +251,7 @@ def test_plot_of_a_scene_writes_its_figures(tmp_path, capsys):
     assert all(name in capsys.readouterr().err for name in names[:1])
 
 
+@pytest.mark.slow
 def test_plot_of_a_model_writes_the_overview(tmp_path):
     target = tmp_path / "crank.png"
     assert main(["plot", "crank_shaft", "--output-file", str(target), "-q"]) == 0
@@ -264,6 +265,7 @@ def test_plot_with_other_outputs_draws_these_instead_of_the_scenes_figures(tmp_p
     assert list(tmp_path.iterdir()) == [target]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     "backend", ["native-interpreted", "fmu-me", "fmu-cs", "erk", "multipliers"]
 )
@@ -322,6 +324,7 @@ def test_window_without_a_screen_is_refused_before_the_run(monkeypatch, capsys):
     assert "there is no screen" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_drawing_needs_no_screen(tmp_path):
     code = "from cosim.cli.main import main; raise SystemExit(main())"
     command = [sys.executable, "-c", code, "plot", "crank_torque.toml", "--output-file", "x.png"]

@@ -106,6 +106,7 @@ def small(expression):
     return operation_count(function) <= 24
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_every_equation_of_a_system_is_printed_or_has_its_arguments(name):
     dae = cosim.load(name)

@@ -48,6 +48,7 @@ def test_report_is_one_file_without_the_network(page):
     assert "@media print" in text
 
 
+@pytest.mark.slow
 def test_report_is_well_formed(page):
     class Tags(HTMLParser):
         def __init__(self):

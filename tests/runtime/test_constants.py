@@ -95,6 +95,7 @@ def fmu(path, kind):
     opened.close()
 
 
+@pytest.mark.quick_share(0.3)
 def test_parameters_set_before_and_in_initialization_count(fmu):
     fmu.set(k=LATER["k"])
     fmu.begin(a=LATER["a"])

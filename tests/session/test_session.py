@@ -30,6 +30,7 @@ STEP = 0.01
 # -- bits -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("step-decay-2", "step-decay-3")
 @VERSIONS
 @pytest.mark.parametrize("name", MODELS)
@@ -216,6 +217,7 @@ def test_linear_system_is_that_of_linearize():
         np.testing.assert_allclose(matrix, reference, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_system_of_models_runs_as_one_model():
     model = Model("follower")
     place, target = model.state("x", "m", 1.0, "place"), model.input("target", "m", 0.0, "target")
@@ -316,6 +318,7 @@ def test_closed_session_rejects_every_call(session):
     assert "closed" in repr(session)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("call", "kind", "says"),
     [

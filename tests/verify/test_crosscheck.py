@@ -260,6 +260,7 @@ def test_command_returns_1_if_a_run_failed(capsys):
     assert "the step came no further FAILED" in printed.err
 
 
+@pytest.mark.slow
 def test_runs_that_a_condition_stops_next_to_an_output_time_are_compared(tmp_path):
     """Rounding decides whether the stop is a row of its own."""
     file = tmp_path / "stop.py"

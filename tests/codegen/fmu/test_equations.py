@@ -68,6 +68,7 @@ def test_law_that_prints_is_exported(tmp_path):
     assert run["x"][-1] == pytest.approx(math.exp(-1), abs=1e-8)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", ["bicycle", "bicycle/multipliers", "double_pendulum/multipliers"])
 @pytest.mark.parametrize("derivative", [directional_function, jacobian_function, adjoint_function])
 def test_derivatives_take_the_constants_of_the_instance_and_keep_their_bits(name, derivative):

@@ -143,6 +143,7 @@ def undefined(content: bytes) -> bytes:
     return bytes(changed)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("rule", [name for name, r in EVERY.items() if r.level != OWN])
 def test_rule_fires_on_its_fault_and_not_without_it(rule, exported, tmp_path):
     wanted = EVERY[rule]

@@ -120,6 +120,7 @@ def swing():
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "true-constant dependent-places0",
     "true-fixed dependent-places1",

@@ -60,6 +60,7 @@ def test_values_of_all_types_are_kept_and_those_that_begin_otherwise_are_found(
     assert found(path, defaults) == {(WRONG, "defaults", name) for name in others}
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("fault", "names"),
     [
@@ -129,6 +130,7 @@ def test_outputs_of_both_interfaces_begin_alike(tmp_path):
     assert (WRONG, "initialization", "energy") in found(path, initialization)
 
 
+@pytest.mark.slow
 def test_boolean_output_that_is_inverted_in_co_simulation_is_found(tmp_path):
     body = f"fmi2Status s = CALL; if (limit) {ALL} value[i] = !value[i]; return s;"
     options = {"valid": True}

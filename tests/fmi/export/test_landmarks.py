@@ -300,6 +300,7 @@ def test_a_pulse_of_time_after_the_default_stop_time_is_met(tmp_path):
         assert run["x"][-1] == pytest.approx(np.sqrt(np.pi), rel=1e-6)  # 0 before
 
 
+@pytest.mark.slow
 def test_the_compiled_master_sees_no_hill_before_it_is_there(tmp_path):
     """Stages of the interpolant of a step before a hill may lie in it."""
     model = cosim.Model("hills", stop_time=20.0, output_interval=0.1)

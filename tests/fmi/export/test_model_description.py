@@ -222,6 +222,7 @@ def test_documentation_lists_every_variable_but_derivatives():
     assert "a &lt; b &amp; c" in page
 
 
+@pytest.mark.slow
 def test_bounds_are_those_that_a_reader_means():
     """Positive parameters have 0, not a guard of 1e-12; bounds that an author gave stay."""
     bicycle = {v.name: v.texts for v in described(cosim.load("bicycle")).variables}

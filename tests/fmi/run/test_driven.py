@@ -145,6 +145,7 @@ def pulse(begin, length, height):
     return cosim.InputSeries(("u",), time, [[0], [0], [height], [height], [0], [0]])
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("interface", KINDS)
 @pytest.mark.parametrize(
     ("inputs", "expected"),

@@ -84,6 +84,7 @@ def test_fmpy_itself_runs_the_ball(exported):
     assert rows["h"][-1] == pytest.approx(height(rows["time"][-1]), abs=2e-7)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("0.001-CoSimulation-fmpy-1e-09", "1e-06-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @pytest.mark.parametrize("width", [1e-3, 1e-6])
@@ -132,6 +133,7 @@ def test_a_sampled_controller_acts_at_its_samples(exported, fmi, interface, mast
     np.testing.assert_allclose(samples, 0.8 ** np.arange(21), rtol=0, atol=bound)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(
     "7-CoSimulation-fmpy-1e-09", "10-CoSimulation-fmpy-1e-09", "23-CoSimulation-fmpy-1e-09"
 )
@@ -172,6 +174,7 @@ def test_files_that_are_open_at_once_log_their_own_events(exported):
     assert again == [impacts, impacts]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("2-CoSimulation-fmpy-1e-09", "3-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @VERSIONS
@@ -182,6 +185,7 @@ def test_what_happens_at_the_stop_time_happens(exported, fmi, interface, master,
     assert (run["n"][-2], run["x"][-2]) == (15, 0)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("False-CoSimulation-fmpy-1e-09", "True-CoSimulation-fmpy-1e-09")
 @EACH_RUN
 @pytest.mark.parametrize("branches", [False, True])
@@ -404,6 +408,7 @@ def threshold(request, tmp_path_factory):
     return cosim.export_fmu(model.freeze(), folder / "threshold.fmu", fmi=request.param)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("law", "rate", "level", "time"),
     [

@@ -145,6 +145,7 @@ def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):
     assert "SECRET_TOKEN" not in seen
 
 
+@pytest.mark.slow
 def test_crosscheck_goes_on_after_a_crash(bad, tmp_path):
     path = tmp_path / "proven.fmu"
     with_reference(bad, path, interval=0.5)

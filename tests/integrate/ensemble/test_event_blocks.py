@@ -88,6 +88,7 @@ BLOCKS = {
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("everything-None", "wall-None")
 @pytest.mark.parametrize("output_times", [None, "few"])
 @pytest.mark.parametrize("name", BLOCKS)

@@ -163,6 +163,7 @@ def test_reason_begins_with_the_violation_that_comes_before_a_failure():
     assert many.to_xarray()["reason"].values.tolist() == ["", many.reason(1)]
 
 
+@pytest.mark.slow
 def test_an_impossible_value_refuses_its_row_alone(bicycle):
     many = simulate_many(
         bicycle, {"rF": [0.35, -1.0, np.nan], "IBxx": [9.2, 9.2, 9.2]}, output_times=[1.0]

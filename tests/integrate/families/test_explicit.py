@@ -222,6 +222,7 @@ static int project_work(long long *a, long long *r, long long *i, long long *w) 
 """
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("projected", [False, True])
 @pytest.mark.parametrize("solver", ["dop853", *FIXED_STEP])
 def test_c_code_is_clean(solver, projected, tmp_path):

@@ -50,6 +50,7 @@ QUICK = (
 )
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("switch")
 @pytest.mark.parametrize("name", sampled(ACCEPTED, QUICK))
 def test_accepted_model_is_right_in_an_fmu(name, tmp_path):

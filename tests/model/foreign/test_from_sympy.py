@@ -53,6 +53,7 @@ def bicycle():
     return cosim.from_sympy(kane, values, {"u3": 4.6 / 0.3, "u2": 0.5}, name="whipple")
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("rosenbrock-kane", "rosenbrock-lagrange", "rosenbrock-system by lagrange")
 @pytest.mark.parametrize(
     ("form", "names"),

@@ -52,7 +52,7 @@ def test_no_case_of_a_sample_has_a_wrong_outcome(family):
         assert verdict.outcome not in WRONG, (case, verdict)
 
 
-@pytest.mark.parametrize("family", sampled(FAMILIES, (), FAMILIES[::3]))
+@pytest.mark.parametrize("family", sampled(FAMILIES, (), ("crank: spin", "bar: equilibrium")))
 def test_no_case_of_a_family_has_a_wrong_outcome(family):
     members = [case for case in select_cases() if case.family == family]
     # one process, so that cases of the same values share their reference

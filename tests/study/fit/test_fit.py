@@ -88,6 +88,7 @@ def test_restitution_of_a_bouncing_ball_is_found_through_its_impacts():
     assert found.values["restitution"] == pytest.approx(0.8, abs=1e-7)  # measured 1e-10
 
 
+@pytest.mark.slow
 def test_product_of_two_values_is_identified_and_not_its_factors():
     y = record({"y": 6.0 * np.exp(-2.0 * TIMES)})
     found = fit(DECAY, y, {"k": 1.0, "scale": 2.0, "share": 2.0})

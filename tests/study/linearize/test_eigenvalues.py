@@ -134,6 +134,7 @@ def test_kink_of_an_output_is_rejected_where_the_output_is_requested():
     assert cosim.linearize(dae, outputs=["y"], start_values={"x": -2.0}).C.tolist() == [[-1.0]]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("law", "x", "switch"),
     [

@@ -108,6 +108,7 @@ def test_a_damaged_block_is_named_and_computed_again(whole, folder, array, damag
     assert content(folder) == content(whole)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     "file",
     ["a/zarr.json", "status/zarr.json", "blocks/zarr.json", "blocks/digest/zarr.json", "p/c/1",

@@ -342,6 +342,7 @@ def test_an_fmu_of_model_exchange_takes_as_many_steps_as_it_needs(tmp_path):
     assert "more than 500 steps between two outputs" in found.reasons[1]
 
 
+@pytest.mark.slow
 def test_runs_that_end_themselves_are_complete_for_a_model_and_its_fmu(tmp_path):
     dae = event_models.stopping()
     path = cosim.export_fmu(dae, tmp_path / "stopping.fmu")
