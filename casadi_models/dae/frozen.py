@@ -11,6 +11,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import packed, shown
+from casadi_models.dae.balance import row_sizes
 from casadi_models.dae.drawing import Drawing
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import irregular_place, operation_count
@@ -157,13 +158,14 @@ class Dae:
         """
         if not self.algebraics:
             return self.alg
-        sizes = ca.sum2(ca.fabs(ca.densify(ca.jacobian(self.alg, self.z))))
         others = (*self.algebraics, *self.inputs)
         start = ca.DM([0.0, *self.x_start, *(variable.start or 0.0 for variable in others)])
         nominal = ca.DM([1.0, *(variable.nominal for variable in (*self.states, *others))])
         # beside the start, where a coefficient may vanish
         place = start + nominal * irregular_place(start.numel())
-        sizes = ca.substitute(sizes, ca.vertcat(self.t, self.x, self.z, self.u), SX(place))
+        slopes = ca.jacobian(self.alg, self.z)
+        there = ca.substitute(slopes, ca.vertcat(self.t, self.x, self.z, self.u), SX(place))
+        sizes = row_sizes(there, self.p, self.parameters)
         usual = [parameter.start or 0.0 for parameter in self.parameters]
         known = ca.Function("sizes", [self.p], [sizes])(usual)
         factors = 1024.0 ** -ca.floor(ca.log(ca.fmax(sizes, 1e-100)) / log(1024) + 0.5)

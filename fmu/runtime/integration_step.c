@@ -8,6 +8,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "bounds.h"
 #include "equations.h"
 #include "evaluation.h"
 #include "events.h"
@@ -74,6 +75,7 @@ double typical_step(Instance *self) {
 typedef struct {
     Instance *fmu;
     const State *from, *to;
+    const double *stages; /* of a step of fixed size */
     double slopes[2][ROOM(NX)];
     Quintic quintic;
 } Made;
@@ -89,36 +91,64 @@ static void within_step(void *made, double t, double x[], double z[], double u[]
 static void box_of_step(void *made, double low[], double high[]) {
     const Made *self = made;
     const double *a = self->from->values, *b = self->to->values, h = b[TIME] - a[TIME];
-    for (int i = 0; i < NX; i++)
+    for (int i = 0; i < NX; i++) {
+#if FIXED_STEPS > 0
+        const Span span = span_of_stages(self->stages + i, FIXED_STEPS, NX, a[FIRST_STATE + i], h);
+        low[i] = span.low;
+        high[i] = span.high;
+#else
         box_of_cubic(a[FIRST_STATE + i], b[FIRST_STATE + i], self->slopes[0][i], self->slopes[1][i],
                      h, &low[i], &high[i]);
+#endif
+    }
 }
 
-/* The cubic of a step from a state, whose derivatives must be fresh, to the present one, which `to`
-   takes. */
-static bool through_ends(Instance *self, const State *from, State *to, Made *made) {
+/* dx/dt within the step. */
+static int slope_within(void *made, double t, const double *x, double *dx) {
+    const Made *self = made;
+    Instance *fmu = self->fmu;
+    double *values = fmu->state.values;
+    memcpy(values + FIRST_STATE, x, NX * sizeof *x);
+    move_inputs(fmu, t);
+    fmu->state.stale |= AFTER_START;
+    const bool known = refresh(fmu, DERIVATIVES) == OK;
+    memcpy(dx, values + FIRST_DERIVATIVE, NX * sizeof *dx);
+    fmu->state = *self->to;
+    return !known;
+}
+
+/* A step from a state, whose derivatives must be fresh, to the present one, which `to` takes. */
+static bool through_ends(Instance *self, const State *from, const double *stages, State *to,
+                         Made *made) {
     if (refresh(self, DERIVATIVES) != OK) return false;
     *to = self->state;
     const double *a = from->values, *b = to->values;
     made->fmu = self;
     made->from = from;
     made->to = to;
+    made->stages = stages;
     memcpy(made->slopes[0], a + FIRST_DERIVATIVE, NX * sizeof *a);
     memcpy(made->slopes[1], b + FIRST_DERIVATIVE, NX * sizeof *b);
     made->quintic = (Quintic){.t = a[TIME],
                               .h = b[TIME] - a[TIME],
                               .ends = {a + FIRST_STATE, b + FIRST_STATE},
-                              .slopes = {made->slopes[0], made->slopes[1]}};
+                              .slopes = {made->slopes[0], made->slopes[1]},
+                              .slope = slope_within,
+                              .owner = made,
+                              .looks = FIXED_STEPS > 0 ? looks_for(ORDER_OF_STEPS) : 0};
     return true;
 }
 
-/* When the cubic of a step that ends here leaves each limit first, up to a time. */
-static bool leaving_on_cubic(Instance *self, const State *from, double end, double leaving[]) {
+/* When a step that ends here leaves each limit first, up to a time. */
+static bool leaving_in_step(Instance *self, const State *from, const double *stages, double end,
+                            double leaving[]) {
     Made made;
     State to;
-    if (!through_ends(self, from, &to, &made)) return false;
-    const Motion motion = {
-        .solver = &made, .at = within_step, .box = end > to.values[TIME] ? NULL : box_of_step};
+    if (!through_ends(self, from, stages, &to, &made)) return false;
+    const Motion motion = {.solver = &made,
+                           .at = within_step,
+                           .box = end > to.values[TIME] ? NULL : box_of_step,
+                           .quintic = &made.quintic};
     find_leaving(self, &motion, from->values[TIME], end, leaving);
     return true;
 }
@@ -126,17 +156,17 @@ static bool leaving_on_cubic(Instance *self, const State *from, double end, doub
 static const double NEAR = 8; /* share of a step beyond its end where its cubic still holds */
 
 /* Warn of limits that a step leaves, which has been made and begins with fresh derivatives. A step
-   that ends where a cubic leaves a limit has a cubic that is exact there. */
-static void look_at_limits(Instance *self, const State *from) {
+   that ends where its motion leaves a limit is exact there. */
+static void look_at_limits(Instance *self, const State *from, const double *stages) {
     const double begin = from->values[TIME], end = self->state.values[TIME];
     double leaving[ROOM(N_LIMITS)], better[ROOM(N_LIMITS)];
-    if (N_LIMITS == 0 || !leaving_on_cubic(self, from, end, leaving)) return;
+    if (N_LIMITS == 0 || !leaving_in_step(self, from, stages, end, leaving)) return;
     const State to = self->state;
     for (int i = 0; i < N_LIMITS; i++) {
         if (!(leaving[i] > begin && leaving[i] < end)) continue;
         const double beyond = fmin(leaving[i] + (end - begin) / NEAR, end);
         self->state = *from;
-        if (advance(self, leaving[i], NULL) && leaving_on_cubic(self, from, beyond, better))
+        if (advance(self, leaving[i], NULL) && leaving_in_step(self, from, NULL, beyond, better))
             leaving[i] = better[i];
         self->state = to;
     }
@@ -163,34 +193,17 @@ static bool step_again(void *made, double t, double x[], double z[], double u[])
     return true;
 }
 
-/* dx/dt within the step. */
-static int slope_within(void *made, double t, const double *x, double *dx) {
-    const Made *self = made;
-    Instance *fmu = self->fmu;
-    double *values = fmu->state.values;
-    memcpy(values + FIRST_STATE, x, NX * sizeof *x);
-    move_inputs(fmu, t);
-    fmu->state.stale |= AFTER_START;
-    const bool known = refresh(fmu, DERIVATIVES) == OK;
-    memcpy(dx, values + FIRST_DERIVATIVE, NX * sizeof *dx);
-    fmu->state = *self->to;
-    return !known;
-}
-
 /* End a step that has been made where a relation first leaves its mode, if one does. */
 static bool end_at_crossing(Instance *self, const State *from, const double *stages,
                             int *relation) {
     Made made;
     State to;
-    if (!through_ends(self, from, &to, &made)) return false;
-    made.quintic.slope = slope_within;
-    made.quintic.owner = &made;
-    made.quintic.looks = looks_for(ORDER_OF_STEPS);
+    if (!through_ends(self, from, stages, &to, &made)) return false;
     const Motion motion = {.solver = &made,
                            .at = within_step,
                            .step_to = step_again,
                            .stages = stages,
-                           .quintic = FIXED_STEPS > 0 ? &made.quintic : NULL};
+                           .quintic = &made.quintic};
     Crossing crossing;
     const double begin = from->values[TIME], end = to.values[TIME];
     const bool goes_on = inputs_rest(self) && end < next_event(self);
@@ -239,7 +252,7 @@ bool integrate_to(Instance *self, double end) {
                 self->state = before;
                 return false;
             }
-            look_at_limits(self, &before);
+            look_at_limits(self, &before, stages);
             length = fmin(length * LONGER, LARGEST_STEP);
             if (*time < end && !pass_midway(self, &end)) return false;
         } else {
@@ -260,8 +273,9 @@ static int watched_step(Instance *self, double end) {
     if (self->state.watch.looks == 0) begin_watching(self);
 #endif
     const State before = self->state;
-    if (!advance(self, end, NULL)) return FAILED;
-    look_at_limits(self, &before);
+    double stages[ROOM(FIXED_STEPS * NX)];
+    if (!advance(self, end, FIXED_STEPS * N_LIMITS > 0 ? stages : NULL)) return FAILED;
+    look_at_limits(self, &before, stages);
 #if HAS_RANK
     if (look_back(self, DISCARD) != OK) {
         self->state = before;

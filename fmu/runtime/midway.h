@@ -10,6 +10,7 @@
 #include "integration.h"
 #if N_LIMITS > 0
 #include "margins.h"
+#include "quintic.h"
 #endif
 
 /* Warn of limits, and let the importer look and perhaps bring the end forward. False where it has
@@ -38,6 +39,7 @@ static void all_margins(const Margin *self, double t, double margins[]) {
 static void look_at_limit(void *margin, double t, Place *found) {
     const Margin *self = margin;
     double every[N_LIMITS];
+    sharpen_fully(self->motion->quintic);
     all_margins(self, t, every);
     note_no_event(t, found);
     found->inside[0] = every[self->limit] > 0 ? every[self->limit] : -DBL_MIN;
@@ -154,6 +156,10 @@ static void find_by_bounds(Margin *margin, double begin, double end, double time
 }
 #endif
 
+static int looks_left(const Motion *motion) {
+    return motion->quintic ? motion->quintic->looks : 0;
+}
+
 /* When a motion first leaves each limit in a span; DBL_MAX: never, or it was outside before. What
    slides obeys laws of its own, without bounds. */
 static void find_leaving(Instance *self, const Motion *motion, double begin, double end,
@@ -168,12 +174,16 @@ static void find_leaving(Instance *self, const Motion *motion, double begin, dou
     places_within(begin, end, times + 1);
     for (int i = 0; i < N_LIMITS; i++) {
         margin.limit = i;
-        for (; isnan(leaving[i]) && looks <= LOOKS; looks++)
-            all_margins(&margin, times[looks], every[looks]);
-        for (int k = 0; k < looks; k++) table[k] = every[k][i];
-        if (isnan(leaving[i]))
+        while (isnan(leaving[i])) {
+            const int left = looks_left(motion);
+            for (; looks <= LOOKS; looks++) all_margins(&margin, times[looks], every[looks]);
+            for (int k = 0; k < looks; k++) table[k] = every[k][i];
             leaving[i] =
                 !(table[0] > 0) ? begin : first_outside(look_at_limit, &margin, begin, end, table);
+            if (leaving[i] == INFINITY || looks_left(motion) == left) continue;
+            looks = 0; /* the motion is more accurate now */
+            leaving[i] = NAN;
+        }
         if (is_left(self, i) || leaving[i] == INFINITY) leaving[i] = DBL_MAX;
     }
 }

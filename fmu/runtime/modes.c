@@ -142,6 +142,7 @@ typedef struct {
     Laws laws;
     const Motion *motion;
     const Off *off; /* by how much the motion may be off; NULL: by nothing */
+    bool proven;    /* by bounds, that no relation with these leaves its mode in the whole step */
 } SearchedStep;
 
 static void look_at(void *step, double t, Place *found) {
@@ -163,6 +164,7 @@ static bool stays(void *step, const Place *a, const Place *b) {
     SearchedStep *self = step;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Sample samples[NODES];
+    if (self->proven) return true;
     for (int k = NODES - 1; k >= 0; k--) {
         self->motion->at(self->motion->solver, node_between(a->t, b->t, k), x, z, u);
         memcpy(samples[k], x, NX * sizeof *x);
@@ -210,19 +212,13 @@ static bool is_quiet(SearchedStep *self, const Point *at, const Place *a, const 
     return true;
 #endif
 }
-
-static bool stays_anyway(void *step, const Place *a, const Place *b) {
-    (void)step, (void)a, (void)b;
-    return true;
-}
 #endif
 
 bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
                 Crossing *crossing) {
-    SearchedStep step = {self, laws_of(self), motion, NULL};
+    SearchedStep step = {.fmu = self, .laws = laws_of(self), .motion = motion};
     Switching *s = &self->state.switching;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
-    Stays *bounds = stays;
     Place before;
     motion->at(motion->solver, begin, x, z, u);
     const Point at = {begin, x, z, u};
@@ -231,18 +227,18 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end, 
 #if FIXED_STEPS > 0
     Place after;
     look_at(&step, end, &after);
-    if (outside(&before) < 0 && outside(&after) < 0 && is_quiet(&step, &at, &before, &after))
-        bounds = stays_anyway;
-    if (bounds == stays || is_suspect(s, &before, &after, goes_on)) sharpen_fully(motion->quintic);
+    step.proven =
+        outside(&before) < 0 && outside(&after) < 0 && is_quiet(&step, &at, &before, &after);
+    if (!step.proven || is_suspect(s, &before, &after, goes_on)) sharpen_fully(motion->quintic);
 #endif
-    const Located how = find_crossing(look_at, bounds, step_afresh, &step, s, begin, before, end,
-                                      goes_on, crossing);
+    const Located how =
+        find_crossing(look_at, stays, step_afresh, &step, s, begin, before, end, goes_on, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
     return how != FAILS;
 }
 
 int left_between(Instance *self, const Motion *motion, double begin, double end, Place *found) {
-    SearchedStep step = {self, laws_of(self), motion, NULL};
+    SearchedStep step = {.fmu = self, .laws = laws_of(self), .motion = motion};
     Place before;
     look_at(&step, begin, &before);
     *found = before;

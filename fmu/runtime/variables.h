@@ -29,6 +29,10 @@
 #define BOUNDED_LIMITS 0 /* whose margins have bounds */
 #define LIMITS_OF_TIME 0 /* whether these depend on time */
 #endif
+#if !defined FIXED_STEPS
+#define FIXED_STEPS 0 /* stages of a solver whose steps have a fixed size */
+#define ORDER_OF_STEPS 0
+#endif
 #define HAS_LOOKS (ENCLOSED > 0 || BOUNDED_LIMITS > 0) /* of importers of model exchange */
 #if HAS_EVENTS
 #include "laws.h"

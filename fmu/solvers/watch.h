@@ -36,6 +36,7 @@ typedef struct {
     int stages;
     Quintic *quintic;     /* NULL: the motion is as accurate as the states */
     const Off *off;       /* by how much it may be off; NULL: by nothing */
+    bool proven;          /* by bounds, that no relation with these leaves its mode in it */
     const double *looked; /* the output times before it have been looked at */
     double fresh[NX];     /* the state at the end of the last fresh step */
 } Step;
@@ -124,6 +125,7 @@ static inline bool stays(void *accepted, const Place *a, const Place *b) {
     const Watch *watch = self->watch;
     double x[NX], dx[NX], slopes[NU + 1];
     Sample samples[NODES];
+    if (self->proven) return true;
     for (int k = NODES - 1; k >= 0; --k) {
         const Point at = {node_between(a->t, b->t, k), x, watch->problem->z, watch->problem->u};
         if (self->within(self->motion, at.t, x, dx) ||
@@ -189,7 +191,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
                               const Place *begin, Place *end, Crossing *found) {
     const Switching *s = self->watch->switching;
     Place before = *begin, place;
-    const bool proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
+    self->proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;
     *found = (Crossing){end->t, -1, end->t};
     for (const double *time = times; before.t < end->t; before = place) {
@@ -201,8 +203,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
             place = *end;
         }
         const bool goes_on = place.t < self->known;
-        if (!is_suspect(s, &before, &place, goes_on) && (proven || stays(self, &before, &place)))
-            continue;
+        if (!is_suspect(s, &before, &place, goes_on) && stays(self, &before, &place)) continue;
         sharpen_fully(self->quintic);
         look_closely_at(self, &before, &place);
         if (find_crossing(look_within, stays, step_freshly, self, s, self->t, before, place.t,

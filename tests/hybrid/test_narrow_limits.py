@@ -6,7 +6,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 import pytest
-from hybrid.test_narrow_relations import CONDITIONS, SPAN, Condition
+from hybrid.test_narrow_relations import CONDITIONS, SHALLOW, SPAN, STEP, Condition
 
 import cosim
 from casadi_models.dae import Dae, Model
@@ -124,6 +124,25 @@ def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: 
     for width, master in zip(WIDTHS, ("c", "fmpy"), strict=True):
         run = cosim.simulate_fmu(path, master=master, start_values={"w": width})
         expect(run.stats, kind, width)
+
+
+@pytest.mark.parametrize(("solver", "error"), [("ode8", 1e-9), ("rk4", 1.5e-3)])
+@pytest.mark.parametrize("kind", ["one state", "a product"])
+def test_fixed_steps_report_what_their_cubics_miss(
+    kind: str, solver: str, error: float, tmp_path: Path
+) -> None:
+    model = Model("shallow", stop_time=2.1, output_interval=STEP)
+    x, v = model.state("x", "1", 0.0, "sine"), model.state("v", "1", 1.0, "cosine")
+    model.derivative(x, ca.cos(model.t))
+    model.derivative(v, -ca.sin(model.t))
+    margin, begin = {
+        "one state": (1 - SHALLOW - x, np.arcsin(1 - SHALLOW)),
+        "a product": (0.5 - SHALLOW - x * v, np.arcsin(1 - 2 * SHALLOW) / 2),
+    }[kind]
+    model.limit(margin, "it is shallow")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "it.fmu", solver=solver, step_size=STEP)
+    (reason,) = cosim.simulate_fmu(path, interface="CoSimulation").stats["invalid"]
+    assert reason.time == pytest.approx(begin, abs=error)
 
 
 @pytest.mark.quick_share(0.3)

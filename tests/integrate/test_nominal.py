@@ -247,6 +247,21 @@ def test_the_note_names_the_states_whose_digits_are_not_controlled(solver):
     assert simulate(charge()[0], solver=solver, absolute_tolerance=1e-18).stats.note is None
 
 
+@pytest.mark.parametrize("solver", ["cvodes", "dop853", "fmu"])
+def test_states_that_are_small_in_the_rows_only_are_not_noted(solver, tmp_path):
+    model = Model("oscillator", stop_time=2 * np.pi, output_interval=np.pi)
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    dae = model.freeze()
+    if solver == "fmu":
+        path = cosim.export_fmu(dae, tmp_path / "oscillator.fmu")
+        run = cosim.simulate_fmu(path, interface="ModelExchange")
+        assert not run.stats.get("note")
+    else:
+        assert simulate(dae, solver=solver, output_times=[np.pi]).stats.note is None
+
+
 def hunters(start: float):
     """Return prey and predators, x' = x (1 - y), y' = y (x - 1), with equal starts."""
     model = Model("hunters", stop_time=60.0, output_interval=0.1)

@@ -1,5 +1,6 @@
 """Limits of validity: declared by a model, watched in a run, kept or dropped by a reduction."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -137,3 +138,67 @@ def test_wheel_that_the_ground_would_have_to_hold_down_is_reported():
     lifted = run.time[np.argmax(run["fz_Q"] > 0)]
     text = f"invalid from {lifted:g} s: the front wheel would lift off"
     assert any(line.startswith(text) for line in run.stats["invalid"])
+
+
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+def test_few_digits_of_fixed_steps_over_close_knots_are_noted(solver):
+    """A road of long waves and roughness, with knots each 2 ms."""
+    knots = np.arange(0, 80, 0.02)
+    rough = np.random.default_rng(3).normal(0, 5e-4, len(knots))
+    road = ca.interpolant("road", "linear", [knots], 1e-2 * np.sin(0.3 * knots) + rough)
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", 3)
+    ode = ca.vertcat(10, x[2], -2500 * (x[1] - road(x[0])) - x[2])
+    dae = cosim.from_casadi({"t": t, "x": x, "ode": ode}, name="rough", stop_time=2)
+    exact = cosim.simulate(dae, relative_tolerance=1e-6)
+    peak = np.abs(exact["x_2"]).max()
+    noted = cosim.simulate(dae, solver=solver, step_size=0.01)
+    assert np.abs(noted["x_2"] - exact["x_2"]).max() > 0.02 * peak
+    note = str(noted.stats.get("note"))
+    assert "of its largest value" in note or "is too long" in str(noted.stats.get("invalid"))
+    assert "knots of a table of x_1" in note
+    fine = cosim.simulate(dae, solver=solver, step_size=0.001)
+    assert np.abs(fine["x_2"] - exact["x_2"]).max() < 0.01 * peak
+    assert "note" not in fine.stats or not fine.stats["note"]
+
+
+def test_fixed_steps_over_close_rows_of_an_input_are_noted():
+    model = Model("driven", stop_time=2.0, output_interval=0.1)
+    x, u = model.state("x", "1", 0.0, "x"), model.input("u", "1", 0.0, "u")
+    model.derivative(x, (u - x) * 5)
+    t = np.arange(0, 2.001, 0.002)
+    rows = 1e-2 * np.random.default_rng(0).normal(0, 1, len(t))
+    series = cosim.InputSeries(["u"], t, rows[:, None])
+    run = cosim.simulate(model.freeze(), solver="rk4", step_size=0.01, inputs=series)
+    assert "steps pass over rows of u" in run.stats["note"]
+
+
+@pytest.mark.parametrize("events", [False, True])
+def test_fixed_steps_beyond_the_limit_of_stability_end_the_run(events):
+    model = Model("stiff", stop_time=10.0, output_interval=0.1)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -100 * x)
+    if events:
+        n = model.discrete("n", "1", 0.0, "n")
+        model.every(1.0, {n: n + 1})
+    with pytest.raises(SolverError, match=r"the step of 0\.1 s is too long") as caught:
+        cosim.simulate(model.freeze(), solver="rk4", step_size=0.1)  # before: 1e246, complete
+    assert caught.value.partial.time.tolist() == [0.0]
+    assert cosim.simulate(model.freeze(), solver="rk4", step_size=0.01)["x"][-1] < 1e-9
+
+
+def test_fixed_steps_whose_half_fails_end_the_run():
+    """A pole at 0.075 m, between the stages of a step but at one of half the step."""
+    model = Model("pole", stop_time=0.6, output_interval=0.3)
+    s, x = model.state("s", "m", 0.0, "way"), model.state("x", "m", 0.0, "x")
+    model.derivative(s, 1.0)
+    model.derivative(x, 1e-3 / (s - 0.075))
+    with pytest.raises(SolverError, match="too long: half of it fails"):  # before: complete
+        cosim.simulate(model.freeze(), solver="rk4", step_size=0.3)
+
+
+def test_fixed_steps_follow_what_grows():
+    model = Model("growth", stop_time=30.0, output_interval=0.1)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, x)
+    run = cosim.simulate(model.freeze(), solver="ode8", step_size=0.01)
+    assert run["x"][-1] == pytest.approx(np.exp(30), rel=1e-9)

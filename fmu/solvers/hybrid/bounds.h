@@ -75,4 +75,18 @@ static inline Span span_of(const double values[NODES], double length) {
     return found;
 }
 
+/* The same over a step, from the slopes of its stages, which are `apart`: it goes half as far
+ * beyond them again. */
+static inline Span span_of_stages(const double *slopes, int stages, int apart, double begin,
+                                  double length) {
+    double low = slopes[0], high = low;
+    for (int k = 1; k < stages; k++) {
+        low = fmin(low, slopes[k * apart]);
+        high = fmax(high, slopes[k * apart]);
+    }
+    const double more = (high - low) / 2, slowest = low - more, fastest = high + more;
+    return (Span){begin + length * fmin(slowest, 0), begin + length * fmax(fastest, 0), slowest,
+                  fastest};
+}
+
 #endif

@@ -12,15 +12,19 @@
 
 typedef double Sample[NX + NU]; /* states and inputs at a time */
 
+static inline void take_span(const Span *span, int i, Spans *found) {
+    found->low[i] = span->low;
+    found->high[i] = span->high;
+    found->slowest[i] = span->slowest;
+    found->fastest[i] = span->fastest;
+}
+
 /* Of one state or input. */
 static inline void enclose_motion(const Sample *samples, int i, double length, Spans *found) {
     double values[NODES];
     for (int k = 0; k < NODES; k++) values[k] = samples[k][i];
     const Span span = span_of(values, length);
-    found->low[i] = span.low;
-    found->high[i] = span.high;
-    found->slowest[i] = span.slowest;
-    found->fastest[i] = span.fastest;
+    take_span(&span, i, found);
 }
 
 /* Spans of nothing yet. */
@@ -94,22 +98,14 @@ static inline bool sampled_stays_within(const Laws *laws, const Switching *s, co
     return stays_within(laws, s, at, length, &spans, a, b);
 }
 
-/* The same in a whole step, from the slopes of its stages: the states go half as far beyond them
- * again. That is cheaper than a polynomial. `spans` are those of the inputs. */
+/* The same in a whole step, from the slopes of its stages. That is cheaper than a polynomial.
+ * `spans` are those of the inputs. */
 static inline bool stays_by_slopes(const Laws *laws, const Switching *s, const Point *at,
                                    double length, const double *slopes, int stages, Spans *spans,
                                    const double a[], const double b[]) {
     for (int i = 0; i < NX; i++) {
-        double low = slopes[i], high = low;
-        for (int k = 1; k < stages; k++) {
-            low = fmin(low, slopes[k * NX + i]);
-            high = fmax(high, slopes[k * NX + i]);
-        }
-        const double more = (high - low) / 2;
-        spans->slowest[i] = low - more;
-        spans->fastest[i] = high + more;
-        spans->low[i] = at->x[i] + length * fmin(low - more, 0);
-        spans->high[i] = at->x[i] + length * fmax(high + more, 0);
+        const Span span = span_of_stages(slopes + i, stages, NX, at->x[i], length);
+        take_span(&span, i, spans);
     }
     return stays_within(laws, s, at, length, spans, a, b);
 }

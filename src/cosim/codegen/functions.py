@@ -217,7 +217,12 @@ def has_long_jacobian(symbols: Sequence[SX], laws: SX, unknowns: SX) -> bool:
     """Tell whether the symbolic Jacobian of a column of laws is too long for generated code."""
     if not laws.numel() or not unknowns.numel():
         return False
-    length = ca.Function("laws", list(symbols), [laws], {"cse": True}).n_instructions()
+    moved = {symbol.element_hash() for symbol in ca.vertsplit(unknowns)}
+    resting = [each for each in ca.symvar(laws) if each.element_hash() not in moved]
+    # what contains no unknown is not differentiated
+    laws_left, constants, _ = ca.extract_parametric(laws, ca.vertcat(SX(0, 1), *resting))
+    function = ca.Function("laws", [*symbols, *constants], [laws_left], {"cse": True})
+    length = function.n_instructions()
     return bool(length * _groups(ca.jacobian_sparsity(laws, unknowns)).size2() > MOST_OPERATIONS)
 
 

@@ -71,11 +71,12 @@ class Landmarks:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Where a term changes: its variable there, and whether a step over it sees that."""
+    """Where a term changes: its variable there, if a step over it sees that, if that is all."""
 
     term: InnerTerm
     places: Vector
     is_step: bool
+    is_whole: bool = True
 
 
 @cached_per_thread(16)
@@ -121,9 +122,10 @@ def landmarks(dae: Dae) -> Landmarks:
                 for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
             )
             needed = [change for change in needed if change not in fixed]
-        if sum(len(change.places) for change in needed) > _MOST:
+        many = sum(len(change.places) for change in needed) > _MOST
+        if many or not all(change.is_whole for change in needed):
             passed.append(name)
-        else:
+        if not many:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = column(rows)
@@ -167,9 +169,9 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
         at = with_surroundings(edges, _INNER)
         seen = values(at)
         places = parted(at, seen, found.high - found.low)
-        places = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
+        some = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
         step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
-        changes.append(_Change(term, places, bool(step)))
+        changes.append(_Change(term, some, bool(step), len(some) == len(places)))
     return changes
 
 

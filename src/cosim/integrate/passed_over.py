@@ -23,6 +23,7 @@ from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
 from cosim.memo import cached_per_thread
+from cosim.model.inputs import InputSeries
 from cosim.model.values import own_sizes
 
 Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
@@ -75,11 +76,11 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     """
     plain = attempt(grid, np.empty(0))
     steps = _counted(plain)
-    few = len(plain.time) < 2 * steps  # such rows show too little of the motion
     if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
         return plain
-    rows, ends, places = between(grid, steps) if few else np.empty(0), np.empty(0), list[Place]()
-    motion, passed = attempt(np.union1d(grid, rows), ends) if few else plain, list[Place]()
+    rows, ends, places = rows_between(plain, grid), np.empty(0), list[Place]()
+    motion = attempt(np.union1d(grid, rows), ends) if len(rows) else plain
+    passed = list[Place]()
     settled = list[Place]()
     for _ in range(_MOST_ROUNDS):
         new = _apart(_found(dae, motion, p, steps), places)
@@ -216,6 +217,22 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
 
 
+def finer_than_steps(motion: Motion, p: Vector, inputs: InputSeries | None) -> str:
+    """Return which tables, or rows of inputs, have more values than a motion has equal steps."""
+    begin, end = motion.time[[0, -1]]
+    if inputs is not None:
+        rows = (begin < inputs.time) & (inputs.time < end)
+        if rows.sum() > _counted(motion):
+            return f"steps pass over rows of {', '.join(inputs.names)}"
+    path = Path.of(motion, p)
+    for terms in terms_of(motion.dae):
+        x, knots = _moved(terms, path), _knots(motion.dae, terms, p)
+        if ((x.min() < knots) & (knots < x.max())).sum() > _counted(motion):
+            name = [*(state.name for state in motion.dae.states), "time"][terms.moving]
+            return f"steps pass over knots of a table of {name}"
+    return ""
+
+
 def _sizes(motion: Motion) -> Vector:
     own = own_sizes(motion.dae, motion.states[:, 0])
     return np.asarray(np.maximum(own, np.abs(motion.states).max(axis=1)))
@@ -237,6 +254,12 @@ def _inside(grid: Vector, times: list[Vector]) -> Vector:
     """Return the times within a grid, each once."""
     every = np.unique(np.concatenate(times))
     return np.asarray(every[(grid[0] < every) & (every < grid[-1])])
+
+
+def rows_between(motion: Motion, grid: Vector) -> Vector:
+    """Return times within a grid, s, if the rows of a motion show too little of it; else none."""
+    steps = _counted(motion)
+    return np.empty(0) if len(motion.time) >= 2 * steps else between(grid, steps)
 
 
 def between(grid: Vector, steps: int) -> Vector:

@@ -29,14 +29,16 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, Solved, all_columns, observe
+from cosim.integrate.passed_over import finer_than_steps, rows_between
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solvers import SOLVERS, with_largest_step
 from cosim.integrate.validity import (
     PROJECTION,
     Breach,
+    StepCheck,
     breaches,
     first_singular_configuration,
-    too_coarse,
+    step_check,
     with_singularity_margin,
 )
 from cosim.memo import cached_per_thread
@@ -50,13 +52,14 @@ from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
 _NEARLY_SINGULAR = 0.5
+_SHORTER = "give a smaller step_size, or a solver with error control"
 
 
-def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breach], Again]:
+def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck, Again]:
     """Compute the initial values and integrate; without states, or with a single time, repeat them.
 
     Returns:
-        The motion, where fixed steps are too long for it, and what adds rows to it.
+        The motion, what half of its fixed steps tells, and what adds rows to it.
     """
     problem, solver = prepared.problem, prepared.inner
     dae, grid, n = problem.dae, problem.grid, len(problem.grid)
@@ -66,7 +69,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
         u = input_values(dae, grid, first, problem.inputs)
         motion = Motion(dae, grid, states, guesses, u, Counts())
-        return motion, [], lambda _: motion
+        return motion, StepCheck(), lambda _: motion
     found = integrate(problem, solver, start)
 
     def again(times: Vector) -> Motion:
@@ -80,10 +83,10 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, list[Breac
             remedy="start elsewhere, or write casadi.if_else where its equation divides by 0 or "
             "leaves the range of a function",
         )
-    invalid = list[Breach]()
+    check = StepCheck()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
-        invalid, found.reason = _step_check(problem, solver, found, start)
-    return found, invalid, again
+        check, found.reason = _step_check(problem, solver, found, start)
+    return found, check, again
 
 
 def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
@@ -95,14 +98,14 @@ def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
 
 
 def _evaluated(
-    prepared: Prepared, motion: Motion, p: Vector, coarse: Sequence[Breach], again: Again
+    prepared: Prepared, motion: Motion, p: Vector, check: StepCheck, again: Again
 ) -> tuple[Vector, int, Ending, list[Breach]]:
     """Evaluate the recorded variables while they are finite and, if requested, valid.
 
     Returns:
         Their values, SI, one row per time of the motion; the number of valid times; why the run
-        stopped early, empty if it did not; and where validity conditions or fixed steps, which
-        `coarse` holds, are violated.
+        stopped early, empty if it did not; and where validity conditions or fixed steps are
+        violated.
     """
     problem, reason = prepared.problem, motion.reason
     dae, grid, n = motion.dae, motion.time, motion.states.shape[1]
@@ -121,7 +124,7 @@ def _evaluated(
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
         reason = reason or Ending(f"{name} is not finite at {grid[n]:g} s")
-    found = list(coarse)
+    found = list(filter(None, [check.breach]))
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
@@ -131,10 +134,12 @@ def _evaluated(
             found.append(singular)
     if checked:
         found += breaches(dae, solved, seen, n, first_left(motion, p, again))
-        found.sort(key=lambda breach: (breach.position, breach not in coarse, breach.reason.time))
+        found.sort(key=lambda breach: (breach.position, breach != check.breach, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
+    if check.diverges and check.breach and check.breach.position < n:
+        n, reason = check.breach.position, Ending(check.breach.reason, remedy=_SHORTER)
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
@@ -174,19 +179,21 @@ def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...
 
 def _step_check(
     problem: Problem, solver: FixedStep, found: Motion, start: InitialState
-) -> tuple[list[Breach], Ending]:
+) -> tuple[StepCheck, Ending]:
     """Check the error of fixed steps by a second run with half the step.
 
     Returns:
-        Where the two runs differ too much, and `INTERRUPTED` if Ctrl-C ended the second run.
+        What it tells, and `INTERRUPTED` if Ctrl-C ended the second run.
     """
     step = solver.step(problem)
     finer = integrate(problem, replace(solver, step_size=step / 2), start)
     if finer.reason == INTERRUPTED:
-        return [], INTERRUPTED
-    n = min(found.states.shape[1], finer.states.shape[1])
+        return StepCheck(), INTERRUPTED
+    n = found.states.shape[1] if finer.reason else min(len(found.time), finer.states.shape[1])
     grid, states = found.time[:n], (found.states[:, :n], finer.states[:, :n])
-    return too_coarse(problem.dae, grid, *states, step), Ending()
+    check = step_check(problem.dae, grid, *states, step)
+    cause = finer_than_steps(found, start.values.p, problem.inputs) if check != StepCheck() else ""
+    return check._replace(note="; ".join(filter(None, (check.note, cause)))), Ending()
 
 
 def run(request: RunRequest) -> Trajectory:
@@ -294,8 +301,8 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     began, compiling, values = perf_counter(), time_compiling(), request.numbers
     name = prepared.problem.dae.full_name
     with doing(name):
-        motion, coarse, again = _integrated(prepared, values)
-        motion, recorded, reason = evaluated(prepared, motion, values.p, coarse, again)
+        motion, check, again = _integrated(prepared, values)
+        motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
         times = perf_counter() - began, time_compiling() - compiling
         found = trajectory_of(prepared, motion, recorded, values, times)
     if reason == INTERRUPTED:
@@ -309,7 +316,7 @@ def evaluated(
     prepared: Prepared,
     motion: Motion,
     p: Vector,
-    coarse: Sequence[Breach],
+    check: StepCheck,
     again: Again,
 ) -> tuple[Motion, Recorded, Ending]:
     """Return a motion up to its last good row, what it recorded, and why it stopped early.
@@ -318,10 +325,10 @@ def evaluated(
         prepared: The plan of the run.
         motion: Its motion.
         p: Parameters.
-        coarse: Where fixed steps are too long for it.
+        check: What half of its fixed steps tells.
         again: Returns it with further rows.
     """
-    table, n, reason, invalid = _evaluated(prepared, motion, p, coarse, again)
+    table, n, reason, invalid = _evaluated(prepared, motion, p, check, again)
     if n < motion.states.shape[1]:  # what happened after the last good row is not a result
         events = [e for e in motion.events if n and e.time <= motion.time[n - 1]]
         motion = replace(motion, events=events, stop="")
@@ -334,7 +341,11 @@ def evaluated(
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
     status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
-    return motion, Recorded(time, table, status, invalid, _note(prepared, motion)), reason
+    return (
+        motion,
+        Recorded(time, table, status, invalid, _note(prepared, motion, check, again)),
+        reason,
+    )
 
 
 def trajectory_of(
@@ -385,13 +396,30 @@ def trajectory_of(
     )
 
 
-def _note(prepared: Prepared, motion: Motion) -> str | None:
-    """Return what differs from the request, for the report; None if nothing does."""
+def _note(prepared: Prepared, motion: Motion, check: StepCheck, again: Again) -> str | None:
+    """Return what differs from the request, for the report; None if nothing does.
+
+    Args:
+        prepared: The plan of the run.
+        motion: Its motion.
+        check: What half of its fixed steps tells.
+        again: Returns it with further rows.
+    """
     inner, problem = prepared.inner, prepared.problem
     tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
     gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""
     small = _small_states(problem.dae, inner, motion.states)
-    notes = tight if inner != prepared.solver else "", gaps, prepared.note, small, motion.note
+    if small and not motion.reason:
+        seen = again(rows_between(motion, problem.grid))
+        small = _small_states(problem.dae, inner, seen.states)
+    notes = (
+        tight if inner != prepared.solver else "",
+        gaps,
+        prepared.note,
+        small,
+        motion.note,
+        check.note,
+    )
     return "; ".join(filter(None, notes)) or None
 
 

@@ -17,9 +17,11 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import Observed, Solved
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
+from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
 from cosim.text import Violation, violated
 
 STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
+_DIVERGED = 1e3  # times the size of the run with half the step
 
 
 class Breach(NamedTuple):
@@ -113,10 +115,25 @@ def _margin(dae: Dae, limit: int) -> ca.Function:
     return ca.Function("margin", dae.arguments, [dae.margins[limit]], {"cse": True})
 
 
-def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> list[Breach]:
-    """Return where a run of fixed steps differs too much from the same run with half the step.
+class StepCheck(NamedTuple):
+    """What half the step tells of a run with fixed steps, which have no error control.
 
-    The difference estimates the error of the longer step: fixed steps have no error control.
+    Attributes:
+        breach: Where the runs differ too much first; None if nowhere.
+        diverges: Whether the longer steps let states grow without bound, or half of them do.
+        note: Which state has few digits, although the runs do not differ too much.
+    """
+
+    breach: Breach | None = None
+    diverges: bool = False
+    note: str = ""
+
+
+def step_check(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> StepCheck:
+    """Compare a run of fixed steps with the same run with half the step.
+
+    The difference estimates the error of the longer step. A state without a nominal value has few
+    digits if it differs by that share of its largest value.
 
     Args:
         dae: The model.
@@ -125,19 +142,32 @@ def too_coarse(dae: Dae, time: Vector, states: Vector, finer: Vector, step: floa
         finer: With half the step, (nx, up to n); shorter if that run failed.
         step: The longer step, s.
     """
-    nominal = np.array([[variable.nominal] for variable in dae.states])
+    nominal = np.array([variable.nominal for variable in dae.states])
+    known = finer.shape[1]
     change = np.full(states.shape, np.inf)
-    change[:, : finer.shape[1]] = np.abs(states[:, : finer.shape[1]] - finer) / nominal
-    outside = np.flatnonzero(~(change.max(axis=0) <= STEP_DOUBT))
-    if not outside.size:
-        return []
-    i = int(outside[0])
-    row = int(np.argmax(change[:, i]))
-    what = (
-        f"the step of {step:g} s is too long: half the step changes "
-        f"{dae.states[row].name} by {change[row, i] * nominal[row, 0]:.2g}"
-    )
-    return [Breach(i, Violation(float(time[i]), what))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        change[:, :known] = np.abs(states[:, :known] - finer)
+        scaled = change / nominal[:, None]
+        peaks = [np.abs(run[:, :known]).max(axis=1, initial=0) for run in (states, finer)]
+    outside = np.flatnonzero(~(scaled.max(axis=0, initial=0) <= STEP_DOUBT))
+    if outside.size:
+        i = int(outside[0])
+        row = int(np.argmax(scaled[:, i]))
+        off = f"half the step changes {dae.states[row].name} by {change[row, i]:.2g}"
+        what = f"the step of {step:g} s is too long: {off if i < known else 'half of it fails'}"
+        large = peaks[0] > _DIVERGED * np.maximum(peaks[1], nominal)
+        diverges = bool(large.any()) or known < states.shape[1]
+        return StepCheck(Breach(i, Violation(float(time[i]), what)), diverges)
+    size = np.maximum(*peaks)
+    free = np.array([variable.nominal == NOT_GIVEN for variable in dae.states], dtype=bool)
+    free &= size > ROUNDING_OF_OTHERS * size.max(initial=0)
+    shares = np.where(free, change.max(axis=1, initial=0) / np.where(free, size, 1), 0)
+    if not (shares > STEP_DOUBT).any():
+        return StepCheck()
+    row = int(np.argmax(shares))
+    share = f"{100 * shares[row]:.2g} % of its largest value"
+    text = f"half the step changes {dae.states[row].name} by {share}; set a smaller step_size"
+    return StepCheck(note=text)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from helpers.oscillators import oscillator
 
 import cosim
 from cosim.cli.main import main
+from cosim.codegen.fmu.solver import is_unstable
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.trust import remember
@@ -198,3 +199,14 @@ def test_controller_compiles_it(sources, tmp_path):
     options = ["-mcpu=cortex_m7", "-Wall", "-Werror", *STATIC, *headers, f"-I{folder}"]
     subprocess.run([*compiler, *options, "-c", folder / "fmu.c", "-o", target], check=True)
     assert target.read_bytes()[:4] == b"\x7fELF"
+
+
+@pytest.mark.parametrize(("solver", "limit"), [("rk4", 2.785), ("ode8", 5.02)])
+@pytest.mark.parametrize("rate", [-100.0, 100.0])
+def test_steps_beyond_the_limit_of_stability_are_warned_of(rate, solver, limit):
+    model = cosim.Model("linear", stop_time=10.0, output_interval=0.1)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, rate * x)
+    dae = model.freeze()
+    unstable = [is_unstable(dae, solver, share * limit / 100) for share in (0.98, 1.1)]
+    assert unstable == [False, rate < 0]

@@ -318,3 +318,14 @@ def test_the_compiled_master_sees_no_hill_before_it_is_there(tmp_path):
     after = [(t - c / 10).clip(min=0) for c in places]
     right = sum(np.sqrt(np.pi) / own * np.exp(-s / 2) * np.sin(own * s) for s in after)
     np.testing.assert_allclose(run["z"], right, atol=5e-3)  # before: off by 2.3
+
+
+def test_a_rough_road_is_exported_with_a_warning(tmp_path):
+    knots = np.arange(0, 80, 0.02)
+    heights = np.random.default_rng(0).normal(0, 0.02, len(knots))
+    road = ca.interpolant("road", "linear", [knots], heights)
+    s, y = ca.MX.sym("s"), ca.MX.sym("y")
+    ode = ca.vertcat(10, road(s) - y)
+    dae = cosim.from_casadi({"x": ca.vertcat(s, y), "ode": ode}, name="rough", stop_time=7)
+    with pytest.warns(UserWarning, match="fixed steps, may step over some"):
+        cosim.export_fmu(dae, tmp_path / "rough.fmu", solver="rk4", step_size=0.01)

@@ -11,14 +11,13 @@ from helpers.oscillators import oscillator
 import cosim
 from casadi_models.dae import Model
 from cosim.api import simulate
-from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau
+from cosim.codegen.runge_kutta.tableau import ODE8, RK4, Tableau, stability_function
 from cosim.errors import SolverError
 from cosim.integrate.families.fixed_step import Rk4
 from cosim.integrate.integrator import start_vectors
 from cosim.study.tradeoff.fixed_steps import (
     largest_stable_step,
     observed_order,
-    stability_function,
     stability_limit,
 )
 from cosim.verify.reference import reference

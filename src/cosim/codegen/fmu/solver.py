@@ -7,7 +7,7 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.fmu.derivatives import jacobian_function
 from cosim.codegen.initialization import usual_start
-from cosim.codegen.runge_kutta.tableau import ODE8, RK4
+from cosim.codegen.runge_kutta.tableau import ODE8, RK4, stability_function
 from cosim.errors import UnknownName, UsageError
 from cosim.memo import cached_per_thread
 
@@ -20,6 +20,7 @@ FIXED_STEPS = {"rk4": RK4, "ode8": ODE8}
 STIFF = 100.0
 
 _LARGE = 200  # number of states from which computing all eigenvalues takes seconds
+_DIVERGED = 1e3  # growth, in the span of the model, of what should not grow
 _KNOWN = 0.01  # largest residual of an accepted mode, relative to its rate
 
 
@@ -61,17 +62,38 @@ def fastest_decay(dae: Dae) -> float:
     It is 0 if nothing decays or if there are no start values. For many states it is an estimate
     with an error of about 1 %.
     """
-    try:
-        jacobian, _ = jacobian_function(dae)(0.0, *usual_start(dae))
-    except RuntimeError:  # no start values; initialization of the FMU reports it
-        return 0.0
-    square = np.array(jacobian.full())[:, : len(dae.states)]
-    if not square.size or not np.isfinite(square).all():
+    square = _slopes_at_start(dae)
+    if square is None:
         return 0.0
     rate = _fastest_of_many(square) if len(square) > _LARGE else None
     if rate is None:
         rate = -float(np.linalg.eigvals(square).real.min())
     return max(0.0, rate)
+
+
+def is_unstable(dae: Dae, solver: str, step: float) -> bool:
+    """Return whether fixed steps let grow what decays or swings at the start values, many times.
+
+    Of many states, the fastest decay alone is known.
+    """
+    square = _slopes_at_start(dae)
+    if square is None:
+        return False
+    many = len(square) > _LARGE
+    modes = np.array([-fastest_decay(dae)]) if many else np.linalg.eigvals(square)
+    factor = np.abs(stability_function(FIXED_STEPS[solver])(step * modes[modes.real <= 0]))
+    steps = dae.experiment.stop_time / step
+    return bool((steps * np.log(np.maximum(factor, 1)) > np.log(_DIVERGED)).any())
+
+
+def _slopes_at_start(dae: Dae) -> Vector | None:
+    """Return the derivatives of dx/dt with respect to the states, (nx, nx); None if unknown."""
+    try:
+        jacobian, _ = jacobian_function(dae)(0.0, *usual_start(dae))
+    except RuntimeError:  # no start values; initialization of the FMU reports it
+        return None
+    square = np.array(jacobian.full())[:, : len(dae.states)]
+    return square if square.size and np.isfinite(square).all() else None
 
 
 def _fastest_of_many(matrix: Vector, size: int = 60) -> float | None:

@@ -7,7 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 from casadi import MX
+from numpy.polynomial import Polynomial
 
 F = Fraction
 _ROUNDED = 1e-15  # published fractions are rounded to double precision
@@ -66,6 +68,17 @@ class Tableau:
         for node, row in zip(self.c, self.a, strict=True):
             slopes.append(slope(t + node * h, x + h * _weighted(row, slopes)))
         return h * _weighted(self.b, slopes)
+
+
+def stability_function(tableau: Tableau) -> Polynomial:
+    """Return R(z) of an explicit Runge-Kutta method."""
+    n = len(tableau.b)
+    a = np.zeros((n, n))
+    for i, row in enumerate(tableau.a):
+        a[i, : len(row)] = [float(weight) for weight in row]
+    b, ones = np.array([float(weight) for weight in tableau.b]), np.ones(n)
+    powers = [np.linalg.matrix_power(a, k) @ ones for k in range(n)]
+    return Polynomial([1.0, *(b @ power for power in powers)])
 
 
 RK4 = Tableau(

@@ -51,7 +51,7 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     for name in places.passed:
         warn(
             f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "
-            "importer's solver may step over some: give it a largest step",
+            "importer's solver, or fixed steps, may step over some: give it a largest step",
             stacklevel=2,
         )
     system = system.watching_more(places.arguments, "place")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import cached_property
 from importlib.resources.abc import Traversable
+from warnings import warn
 
 import casadi as ca
 
@@ -18,7 +19,7 @@ from cosim.codegen.fmu.equations import (
     has_rank,
     model_functions,
 )
-from cosim.codegen.fmu.solver import FIXED_STEPS, solver_for, uses_dop853
+from cosim.codegen.fmu.solver import FIXED_STEPS, is_unstable, solver_for, uses_dop853
 from cosim.codegen.functions import Laws
 from cosim.errors import ParameterError
 from cosim.fmi.export.dependencies import (
@@ -148,14 +149,18 @@ PARTS = (
     Part(
         "co-simulation with a generated solver",
         lambda plan: not plan.dop853,
-        ("integration_step.c", "cubic.h", "quintic.h", "ode.h"),
+        ("integration_step.c", "bounds.h", "cubic.h", "quintic.h", "ode.h"),
     ),
     Part(
         "relations, events or pulses",
         lambda plan: plan.system is not None,
         ("modes.c", "events.c", *_KERNEL_OF_EVENTS),
     ),
-    Part("validity conditions", lambda plan: bool(plan.dae.limits), ("margins.h", "bounds.h")),
+    Part(
+        "validity conditions",
+        lambda plan: bool(plan.dae.limits),
+        ("margins.h", "bounds.h", "cubic.h", "quintic.h", "ode.h"),
+    ),
     Part(
         "a motion between two points of an importer",
         lambda plan: plan.bounds_limits or bool(plan.system and plan.system.enclosures.relations),
@@ -181,6 +186,19 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         dae = replace(dae.watching(outputs), observed=outputs)
     tunable = options.tunable and listed(f"{dae.full_name}: tunable", options.tunable)
     solver = solver_for(dae, options.solver)
+    interval = dae.experiment.output_interval
+    step_size = options.step_size or interval
+    if interval > step_size * MOST_STEPS:
+        raise ParameterError(
+            f"export: step_size = {step_size:g} s makes more than {MOST_STEPS:.0e} steps in an "
+            f"output interval of {interval:g} s; give a longer one"
+        )
+    if solver in FIXED_STEPS and is_unstable(dae, solver, step_size):
+        warn(
+            f"{dae.full_name}: steps of {step_size:g} s are too long for {solver} at the start "
+            "values, as what should decay grows; give a smaller step_size",
+            stacklevel=2,
+        )
     dae = with_margins(dae, valid=options.valid)
     embedded = embedded_sources(dae)
     tunable = tunable_parameters(dae, tunable)
@@ -196,13 +214,6 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     depends = structural_dependencies(dae)
     if system is not None:
         depends = without_modes(depends, system)
-    interval = dae.experiment.output_interval
-    step_size = options.step_size or interval
-    if interval > step_size * MOST_STEPS:
-        raise ParameterError(
-            f"export: step_size = {step_size:g} s makes more than {MOST_STEPS:.0e} steps in an "
-            f"output interval of {interval:g} s; give a longer one"
-        )
     return Plan(
         options=options,
         name=name,

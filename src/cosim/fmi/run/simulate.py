@@ -15,6 +15,8 @@ from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
 from cosim.trajectory import Trajectory
 
+_MANY_ROWS = 400  # that show how large a state gets
+
 
 def simulate_fmu(
     path: str | os.PathLike[str],
@@ -90,11 +92,16 @@ def simulate_fmu(
             outputs=outputs,
         )
         run = fmu.run(request, master)
+        small = _small_states(request, run)
+        if small and len(run) < _MANY_ROWS:
+            parts = -(-_MANY_ROWS // len(run))
+            finer = replace(request, interval=request.interval / parts)
+            small = _small_states(request, fmu.run(finer, master))
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
     notes = (
         run.stats.get("note"),
         gaps,
-        _small_states(request, run),
+        small,
         rounding(request.recorded, run),
         _left_out(request) if outputs is None else "",
     )

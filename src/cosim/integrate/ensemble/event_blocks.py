@@ -32,6 +32,7 @@ from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory_of
+from cosim.integrate.validity import StepCheck
 from cosim.model.many_values import ManyValues
 from cosim.model.request import RunRequest
 from cosim.model.values import Values, own_sizes
@@ -244,7 +245,9 @@ class EventBlocks:
         if known is None or growth_in(known, values.p, *self._tolerance) is not None:
             return None
         try:
-            motion, recorded, reason = evaluated(self._prepared, known, values.p, (), _needed)
+            motion, recorded, reason = evaluated(
+                self._prepared, known, values.p, StepCheck(), _needed
+            )
         except _RowsNeeded:
             return None
         if reason:

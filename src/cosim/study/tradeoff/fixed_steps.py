@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.runge_kutta.tableau import Tableau, step_function
+from cosim.codegen.runge_kutta.tableau import stability_function, step_function
 from cosim.errors import CosimError
 from cosim.integrate.families.fixed_step import tableau_of
 from cosim.integrate.run import run
@@ -163,17 +163,6 @@ def stability_limit(request: RunRequest, truth: Reference, solver: str) -> Stabi
     nominal = np.array([variable.nominal for variable in dae.states])
     measured = _growth_step(step, t, x, vectors, nominal, predicted)
     return StabilityLimit(dae.full_name, solver, mode, predicted, measured)
-
-
-def stability_function(tableau: Tableau) -> Polynomial:
-    """Return R(z) of an explicit Runge-Kutta method."""
-    n = len(tableau.b)
-    a = np.zeros((n, n))
-    for i, row in enumerate(tableau.a):
-        a[i, : len(row)] = [float(weight) for weight in row]
-    b, ones = np.array([float(weight) for weight in tableau.b]), np.ones(n)
-    powers = [np.linalg.matrix_power(a, k) @ ones for k in range(n)]
-    return Polynomial([1.0, *(b @ power for power in powers)])
 
 
 def largest_stable_step(polynomial: Polynomial, mode: complex) -> float:
