@@ -467,7 +467,7 @@ def test_variants_are_chosen_by_file_or_by_name(write, capsys):
         (component("s", "source", source="http://a/b.fmu"), "lies outside the file"),
         (component("s", "source", source="resources/bad.fmu"), "resources/bad.fmu: "),
         (component("s", "source", source="SystemStructure.ssd"), "SystemStructure.ssd: "),
-        (SOURCE.replace("source=", 'implementation="ModelExchange" source='), "asks for ModelEx"),
+        (SOURCE.replace("source=", 'implementation="Scheduled" source='), "asks for Scheduled"),
     ],
 )
 def test_part_that_cannot_be_read_is_named_without_the_temporary_folder(write, parts, words):
@@ -495,3 +495,14 @@ def test_transformations_are_written(read, tmp_path):
     whole = system("S", SOURCE + component("g", "gain"), connection("s.y", "g.u", linear))
     again = cosim.read_ssp(read(whole).write_ssp(tmp_path / "again.ssp"))
     assert ends(again) == {"g.u": ("s.y", 2, 1)}
+
+
+def test_component_is_simulated_by_the_interface_that_it_asks_for(read, tmp_path):
+    asked = SOURCE.replace("source=", 'implementation="ModelExchange" source=')
+    system_file = read(system("S", asked + component("g", "gain"), connection("s.y", "g.u")))
+    written = cosim.read_ssp(system_file.write_ssp(tmp_path / "again.ssp"))
+    for one in (system_file, written):
+        assert one.unused == {"s": ("co-simulation",)}
+        run = one.simulate(macro_step=0.25, stop_time=0.5)
+        assert run.stats["order"]["s"] == "cubic inputs, events end macro steps"
+        assert "events" not in run.stats["order"]["g"]

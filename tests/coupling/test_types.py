@@ -2,11 +2,13 @@
 
 import zipfile
 
+import numpy as np
 import pytest
 from helpers.typed_part import typed_part
 
 import cosim
 from cosim.errors import ParameterError, UsageError
+from cosim.model.inputs import InputSeries
 
 METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
 
@@ -167,9 +169,29 @@ def test_value_that_a_type_does_not_have_is_rejected(name, value, reason, part):
 
 @pytest.mark.parametrize("law", ["3.7*t", 3.7])
 @pytest.mark.parametrize("name", ["count", "on", "mode"])
-def test_formula_for_an_input_that_is_no_real_number_is_rejected(name, law, part):
-    with pytest.raises(UsageError, match=f"a.{name}_in is of type .* only real inputs follow"):
+def test_law_for_an_input_that_does_not_have_its_values_is_rejected(name, law, part):
+    with pytest.raises(UsageError, match=f"{name}_in = .* is (no|not a real) "):
         cosim.couple({"a": part}, {}).simulate(macro_step=0.5, inputs={f"a.{name}_in": law})
+
+
+@pytest.mark.parametrize("name", ["count", "on", "mode"])
+def test_function_for_an_input_that_changes_at_events_is_rejected(name, part):
+    with pytest.raises(UsageError, match=f"a.{name}_in changes at events only and follows no"):
+        cosim.couple({"a": part}, {}).simulate(inputs={f"a.{name}_in": lambda t: 1.0})
+
+
+@pytest.mark.parametrize("method", ["jacobi", "iterated"])
+def test_samples_drive_inputs_of_every_type_from_their_times_on(method, part):
+    samples = {"on": [0, 1, 0], "count": [5, -7, 5], "mode": [1, 3, 3]}
+    inputs = {
+        f"a.{name}_in": InputSeries(("u",), [0.0, 0.37, 1.0], np.array([values]).T)
+        for name, values in samples.items()
+    }
+    run = cosim.couple({"a": part}, {}).simulate(
+        inputs=inputs, method=method, macro_step=0.1, output_interval=0.25, stop_time=1.0
+    )
+    for name, values in samples.items():
+        assert run[f"a.{name}"].tolist() == [values[i] for i in (0, 0, 1, 1, 2)]
 
 
 def test_integers_that_results_cannot_hold_are_named(part_3, tmp_path):

@@ -53,6 +53,7 @@ def foreign_part(
     step_size: float | None = None,
     interface: str = "CoSimulation",
     varies: str = "continuous",
+    resets: bool = True,
     **abilities: str,
 ) -> Path:
     """Write an FMU.
@@ -68,11 +69,13 @@ def foreign_part(
         step_size: The file declares steps of this size, s.
         interface: That the file declares.
         varies: The variability of the output.
+        resets: Whether its reset does anything.
         abilities: Attributes of the interface that differ from those of a file that can do all.
     """
     name = f"{kind}_{next(_number)}"
     source, library = folder / f"{name}.c", folder / f"{name}.so"
     defines = {"KIND": KINDS.index(kind), "DIVIDES": int(divides), "GRID": float(grid)}
+    defines["RESETS"] = int(resets)
     lines = [f"#define {key} {value}\n" for key, value in (defines | {"FAULT": fault}).items()]
     source.write_text("".join(lines) + Path(__file__).with_name("foreign_part.c").read_text())
     flags = ["-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-lm"]

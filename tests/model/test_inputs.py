@@ -392,3 +392,13 @@ def test_table_as_equations_moves_the_model_as_its_samples_do(bar):
     ]
     for name in ("theta", "theta_dot"):  # measured 1.5e-9 of 5 rad/s
         np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=0, atol=1e-8)
+
+
+def test_held_series_keeps_a_sample_until_the_next_one_also_at_jumps():
+    time = [0.0, 0.0, 1.0, 2.0, 2.0, 3.0, 4.0]
+    values = [[9.0], [1.0], [1.0], [5.0], [2.0], [3.0], [3.0]]
+    held = InputSeries(("u",), time, values).held()
+    at = np.array([-1.0, 0.0, 0.5, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0])
+    assert held.at(at).tolist() == [[9.0, 1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]]
+    assert held.before(np.array([2.0, 3.0])).tolist() == [[1.0, 2.0]]  # 5 lasts for no time
+    assert held.jumps.tolist() == [0.0, 2.0, 3.0]

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,10 +27,11 @@ from cosim.cli.tables import note
 from cosim.coupling.files import coupling_report, is_system, read_system, simulate_file
 from cosim.coupling.part import part_of
 from cosim.coupling.system import System
+from cosim.coupling.values import target
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.archive import with_places
-from cosim.fmi.run.instance import REALS
 from cosim.fmi.run.isolated import run_apart
+from cosim.fmi.run.typed_values import REALS, series_value
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
@@ -39,7 +39,6 @@ from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
-from cosim.series.csv_file import rows_of
 from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
 from cosim.trajectory import Trajectory
@@ -133,24 +132,20 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
 
 
 def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the inputs of a command line; an error about a text names the variable's type."""
-    try:
-        return inputs_in(args)
-    except ParameterError:
-        model, is_file = args.model, args.model.endswith(".fmu")
-        parts = {model: part_of("fmu", model)} if is_file else read_system(model).parts
-        types = {
-            name if is_file else f"{part}.{name}": variable.type
-            for part, own in parts.items()
-            for name, variable in own.variables.items()
-        }
-        for name in rows_of(Path(args.input_file))[0][1]:
-            if (kind := types.get(name.strip(), REALS[0])) not in REALS:
-                raise UsageError(
-                    f"{model}: {name.strip()} is of type {kind}; only real inputs follow time "
-                    "series, others take constant values"
-                ) from None
-        raise
+    """Return the inputs of a command line."""
+
+    def number_of_word(name: str, cell: str) -> float | None:
+        if args.model.endswith(".fmu"):
+            variable = part_of("fmu", args.model).variables.get(name)
+        else:
+            system = read_system(args.model)
+            (part, own), *_ = target(system.parts, system.connectors, name).ends[0]
+            variable = system.parts[part].variable(own)
+        if variable is None or variable.type in REALS:
+            return None
+        return series_value(args.model, variable, cell)
+
+    return inputs_in(args, number_of_word)
 
 
 def _co_simulation(args: argparse.Namespace) -> Trajectory:

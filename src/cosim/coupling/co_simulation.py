@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from casadi_models.dae.coupled import Connection
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Truths
 from cosim.coupling.c_structures import coupling_library
 from cosim.coupling.estimate import (
     OF_A_RUN,
@@ -171,7 +171,7 @@ class CoSimulation:
             values,
             settings,
             Rows.of(np.array([settings.start]), dict.fromkeys(self.parts, ())),
-            own_steps(self.name, self.parts, *lengths, at_internal_steps=False),
+            own_steps(self.name, self.parts, *lengths, 1.0, at_internal_steps=False),
             tolerance=tolerance,
             of_parts=of_parts,
             ends=ends,
@@ -187,8 +187,9 @@ class CoSimulation:
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
-        made = [self.parts[name].is_own for name, _ in self._wiring.sources]
-        may_freeze = np.array([not any(one) for one in zip(made, self._held, strict=False)], bool)
+        made = [self.parts[name].is_own for name, _ in self.wiring.sources]
+        held = self.wiring.held[: len(made)]
+        may_freeze = np.array([not any(one) for one in zip(made, held, strict=True)], bool)
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
@@ -220,7 +221,7 @@ class CoSimulation:
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
                     left, few = accuracy - estimate, partial(self._in_few_steps, task)
-                    still = frozen_motion(run, self._wiring.sources, ranges, may_freeze, few, left)
+                    still = frozen_motion(run, self.wiring.sources, ranges, may_freeze, few, left)
                     return replace(run, stats={**run.stats, "error_estimate": estimate + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / estimate / 2)
@@ -281,7 +282,7 @@ class CoSimulation:
         span = settings.stop - settings.start
         lengths = (settings.macro_step, settings.interval, span)
         default = settings.accuracy is None
-        steps = own_steps(self.name, self.parts, *lengths, at_internal_steps=default)
+        steps = own_steps(self.name, self.parts, *lengths, share, at_internal_steps=default)
         system = OpenSystem(
             self.wiring,
             task.values,

@@ -47,7 +47,7 @@ def couple(
             all other inputs that nothing drives.
         abilities: What not to use of a part, by its name, e.g. {"motor": "no rates, no rollback"}:
             "no interpolation" of inputs, "no rates" (derivatives of outputs), "no rollback",
-            "no directional derivatives", "no event mode".
+            "no directional derivatives", "no event mode", "no co-simulation" (but model exchange).
 
     Raises:
         UnknownName: A part or a variable does not exist.

@@ -28,9 +28,11 @@ def estimated_error(
         ratio: Of their tolerances, below 1.
         accuracy: The largest error that is allowed.
         of_parts: Tolerance of the parts' solvers, which no agreement of two runs shows.
-        ordered: Whether the method has its order: without it, the error is as large as the change.
+        ordered: Whether the method has its order: without it, the error is at least as large as the
+            change.
     """
-    left = min(ratio, 0.8) ** _FALLS if ordered else _UNKNOWN
+    falls: float = min(ratio, 0.8) ** _FALLS
+    left = falls if ordered else max(falls, _UNKNOWN)
     if change > accuracy:  # the order counts if it has been observed
         observed = min(change / before, _UNKNOWN) if before else _UNKNOWN
         left = max(left, observed)

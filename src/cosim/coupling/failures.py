@@ -128,6 +128,10 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
+    for name, part in wiring.parts.items() if not system.macro_step else ():
+        if part.only_step and not part.any_step and part.holds_inputs:
+            step = f"its only step, {part.only_step:g} s"
+            notes.append(f"{name} holds its inputs within {step}: no estimate has what this causes")
     return notes
 
 

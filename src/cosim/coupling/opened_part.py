@@ -14,7 +14,6 @@ from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
 from cosim.fmi.run.c_structures import Calls, Functions, Recorded
 from cosim.fmi.run.instance import (
-    REALS,
     Interface,
     asks_for_inputs,
     begin_initialization,
@@ -22,7 +21,7 @@ from cosim.fmi.run.instance import (
     is_second,
 )
 from cosim.fmi.run.opened import OpenedFmu
-from cosim.fmi.trust import is_made_here
+from cosim.fmi.run.typed_values import REALS, is_continuous
 
 
 class InputOrder(IntEnum):
@@ -40,6 +39,7 @@ class Ability(StrEnum):
     ROLLBACK = "rollback"  # to a saved state
     DIRECTIONAL = "directional derivatives"
     EVENTS = "event mode"
+    CO_SIMULATION = "co-simulation"  # of a file that has model exchange as well
 
 
 def unused_abilities(
@@ -90,8 +90,9 @@ class OpenedPart:
         unused: Collection[Ability] = (),
     ) -> None:
         self.name, self.path = name, path
-        self._fmu = fmu = OpenedFmu(path)
-        fmu.reset_is_enough = self.is_own = is_made_here(path)
+        interface = Interface.MODEL_EXCHANGE if Ability.CO_SIMULATION in unused else None
+        self._fmu = fmu = OpenedFmu(path, interface)
+        self.is_own = fmu.reset_is_enough
         if self.is_own and Ability.EVENTS not in unused and _exchanges(fmu):
             fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description
@@ -124,7 +125,8 @@ class OpenedPart:
         self.any_step = exchange or bool(abilities.canHandleVariableCommunicationStepSize)
         internal = getattr(abilities, "fixedInternalStepSize", None)
         self.internal_step = float(internal or 0.0)
-        self.named_step = float(getattr(fmu.description.defaultExperiment, "stepSize", None) or 0)
+        named = getattr(fmu.description.defaultExperiment, "stepSize", None)
+        self.only_step = self.internal_step or float(named or 0.0)  # if it does not take any
         if exchange:
             self._reject_for_exchange(unused)
             self.order = InputOrder.CUBIC if interpolates else InputOrder.CONSTANT
@@ -149,6 +151,11 @@ class OpenedPart:
                 f"part '{self.name}' is for model exchange, which always has event mode; leave "
                 "'no event mode' out of its abilities"
             )
+
+    @property
+    def holds_inputs(self) -> bool:
+        """Whether inputs that move stay as they are within each of its steps."""
+        return bool(self.moving_inputs) and self.order is InputOrder.CONSTANT
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""
@@ -231,11 +238,6 @@ def _exchanges(fmu: OpenedFmu) -> bool:
     )
     explicit = fmu.contains("sources/integration_dop853.c")
     return switches and (explicit or description.numberOfContinuousStates == 0)
-
-
-def is_continuous(variable: Any) -> bool:
-    """Tell whether an input may change at any time."""
-    return variable.type in REALS and variable.variability == "continuous"
 
 
 def _in_order(

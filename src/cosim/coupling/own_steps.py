@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import isclose
+from math import ceil, isclose
 
 from cosim.coupling.opened_part import OpenedPart
 from cosim.errors import UsageError
 
 _MOST_MULTIPLES = 1000
+_MOST_PIECES = 10_000  # of an output interval
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,14 @@ def own_steps(
     macro_step: float | None,
     interval: float,
     span: float | None,
+    share: float,
     *,
     at_internal_steps: bool,
 ) -> OwnSteps:
     """Return the steps of parts that take steps of one length only.
 
-    It is the length that the file names, or else the macro step or the output interval.
+    It is the length that the file names, or else the macro step, or the output interval: of that
+    such a part of it where inputs stay within the step that their error follows the tolerance.
 
     Args:
         system: Its name.
@@ -42,6 +45,7 @@ def own_steps(
         macro_step: s; None if it is chosen by the accuracy.
         interval: Distance of the output times, s.
         span: Length of the run, s; None if output times and the end are not known.
+        share: Of the tolerance of the first run.
         at_internal_steps: Whether macro steps that are chosen end with steps of the solvers inside
             parts that drive others where their length is fixed. Outputs change there only.
 
@@ -50,11 +54,12 @@ def own_steps(
             lengths of two parts have no common multiple.
     """
     found = dict[str, float]()
+    pieces = min(ceil(share**-0.5), _MOST_PIECES)  # as the error is of second order
     for name, part in parts.items():
         if part.any_step:
             continue
-        named = part.internal_step or part.named_step
-        found[name] = named or macro_step or interval
+        default = macro_step or (interval / pieces if part.holds_inputs else interval)
+        found[name] = part.only_step or default
         if (
             macro_step is not None
             and not part.internal_step

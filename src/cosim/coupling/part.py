@@ -15,14 +15,12 @@ from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.instance import (
-    NUMERIC,
-    REALS,
     by_name,
     read_description,
     unit_of,
 )
 from cosim.fmi.run.request import holds_value, is_settable
-from cosim.fmi.run.typed_values import RANGES
+from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS
 from cosim.fmi.units import Measured, change_of_units, units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
@@ -48,6 +46,7 @@ class Variable:
     units: Mapping[str, Unit] = field(default_factory=dict)
     type: str = "Real"
     declaredType: Any = None  # noqa: N815 # as fmpy calls it, for `typed_value`
+    variability: str = "continuous"
 
     @property
     def definition(self) -> Unit | None:
@@ -171,7 +170,7 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         units = units_for(variable, description)
         kind = "array" if variable.dimensions else variable.type
         facts = unit_of(variable), is_input, source, start, units, kind, variable.declaredType
-        found[name] = Variable(variable.name, *facts)
+        found[name] = Variable(variable.name, *facts, variability=variable.variability)
     return found
 
 

@@ -1,7 +1,8 @@
 """`Signals`: a part of a system that drives inputs by formulas of time and tables."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from casadi_models.dae import Dae, Model
@@ -12,9 +13,9 @@ from cosim.coupling.connectors import Connector, End
 from cosim.coupling.part import Part, free_name, part_of
 from cosim.coupling.values import target
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import REALS
+from cosim.fmi.run.typed_values import is_continuous, series_value
 from cosim.integrate.keywords import requested
-from cosim.model.driving import driven, with_tables
+from cosim.model.driving import driven, with_held, with_tables
 from cosim.model.inputs import InputSeries
 from cosim.trajectory import Trajectory
 
@@ -64,8 +65,12 @@ class Signals:
         name = free_name(parts, "inputs")
         model = Model("inputs", description="inputs of a system", source="formulas and tables")
         laws, wires = dict[str, Any](), list[Connection]()
+        held = dict[str, Callable[[Any], float]]()
         for text, law in inputs.items():
             unit, ends = _driven(owner, parts, connectors, text)
+            for variable in (parts[part].variable(own) for (part, own), *_ in ends):
+                if not is_continuous(variable):
+                    held[text] = partial(series_value, owner, variable)
             symbol = model.input(f"u{len(laws)}", unit, 0.0, text)
             model.output(f"y{len(laws)}", unit, symbol, text)
             laws[text] = law
@@ -78,7 +83,7 @@ class Signals:
         )
         observed = tuple(v.name for v in outputs)
         dae = replace(dae, inputs=inputs_of, output_variables=outputs, observed=observed)
-        dae = _following(dae, laws, times)
+        dae = _following(dae, with_held(owner, laws, times, held), times)
         dae = replace(dae, driving=tuple(v.name for v in dae.output_variables))
         return cls(name, part_of(name, dae), tuple(wires))
 
@@ -99,11 +104,6 @@ def _driven(
         variable = parts[part].variable(own)
         if not variable.is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
-        if variable.type not in REALS:
-            raise UsageError(
-                f"{owner}: {name} is of type {variable.type}; only real inputs follow formulas "
-                "and tables, so give it a value with start_values"
-            )
     return unit if unit and parse_unit(unit) else "1", ends
 
 

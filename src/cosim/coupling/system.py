@@ -31,6 +31,7 @@ from cosim.errors import (
 )
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.instance import Interface
 from cosim.fmi.ssp import write_ssp
 from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
@@ -376,7 +377,12 @@ class System:
         inputs = {key for key in exposed if self.parts[key[0]].variable(key[1]).is_input}
         return write_ssp(
             target,
-            self.files,
+            {
+                n: (path, Interface.MODEL_EXCHANGE)
+                if Ability.CO_SIMULATION in self.unused.get(n, ())
+                else path
+                for n, path in self.files.items()
+            },
             [(".".join(w.output), ".".join(w.input)) for w in self.connections],
             values={
                 f"{part}.{name}": value

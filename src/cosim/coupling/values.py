@@ -1,14 +1,13 @@
 """`values_of`: start values of a coupled system, by names of its parts and of its connectors."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from casadi_models.units import Unit
 from cosim.coupling.connectors import Connector, End
-from cosim.coupling.part import Part, Variable, split_name
+from cosim.coupling.part import Part, split_name
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import REALS
-from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.run.typed_values import REALS, typed_value, value_of_text
 from cosim.model.quantities import quantity
 from cosim.model.values import number
 
@@ -67,19 +66,15 @@ def values_of(
         if not all(variable.is_start for variable in variables):
             raise UsageError(f"{name} cannot be given; it is calculated")
         other = next((v for v in variables if v.type not in REALS), None)
-        plain = _plain(key, value, unit, units) if other is None else _typed(key[0], other, value)
+        if other is None:
+            plain = _plain(key, value, unit, units)
+        else:
+            plain = value_of_text(key[0], other, value)
         for end, variable in zip(ends, variables, strict=True):
             same = (end.factor, end.offset) == (1.0, 0.0)
             own = plain if same else end.factor * plain + end.offset
             found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
-
-
-def _typed(owner: str, variable: Variable, value: object) -> Any:
-    """Return a value, or what a text says, as the type of a variable requires."""
-    plain = isinstance(value, str) and variable.type != "String"
-    whole = plain and str(value).strip().removeprefix("-").isdecimal()
-    return typed_value(owner, variable, int(str(value)) if whole else value)
 
 
 def _plain(

@@ -9,7 +9,8 @@ import numpy as np
 
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Integers, Vector
-from cosim.coupling.opened_part import OpenedPart, is_continuous
+from cosim.coupling.opened_part import OpenedPart
+from cosim.fmi.run.typed_values import is_continuous
 
 
 @dataclass(frozen=True)

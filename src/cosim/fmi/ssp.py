@@ -12,8 +12,8 @@ from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
-from cosim.fmi.run.instance import REALS, unit_of
-from cosim.fmi.run.typed_values import RANGES, start_number
+from cosim.fmi.run.instance import unit_of
+from cosim.fmi.run.typed_values import RANGES, REALS, start_number
 from cosim.fmi.units import definitions
 from cosim.model.values import number
 from cosim.trajectory import shortest
@@ -22,6 +22,7 @@ SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 TYPE = "application/x-ssp-parameter-set"
+_File = str | os.PathLike[str]
 
 
 def parameter_set(
@@ -87,7 +88,7 @@ def to_file(root: ET.Element) -> bytes:
 
 def write_ssp(
     target: str | os.PathLike[str],
-    components: Mapping[str, str | os.PathLike[str]],
+    components: Mapping[str, _File | tuple[_File, str]],
     connections: Sequence[tuple[str, str]],
     *,
     values: Mapping[str, float] | None = None,
@@ -102,7 +103,7 @@ def write_ssp(
 
     Args:
         target: The file, replaced when everything has succeeded.
-        components: Path of the FMU by the component's name.
+        components: By name the path of the FMU, or (path, "ModelExchange" or "CoSimulation").
         connections: ("FROM.OUTPUT", "TO.INPUT") pairs.
         values: Start values and parameters by "COMPONENT.VARIABLE", in the FMUs' units.
         start_time, stop_time: Of the default experiment, s.
@@ -135,7 +136,12 @@ def write_ssp(
             raise ParameterError(
                 f"write_ssp: stop_time = {stop_time:g} s is not after start_time = {start_time:g} s"
             )
-    described = {name: _described(path) for name, path in components.items()}
+    pairs = {n: one if isinstance(one, tuple) else (one,) for n, one in components.items()}
+    paths, interfaces = (
+        {n: one[0] for n, one in pairs.items()},
+        {n: p[1:] for n, p in pairs.items()},
+    )
+    described = {name: _described(path) for name, path in paths.items()}
     defined = _defined_units(description for description, _ in described.values())
     ends = [_ends(described, pair) for pair in connections]
     given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
@@ -153,17 +159,12 @@ def write_ssp(
     for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
-        element = _component(component, description, units)
+        element = _component(component, description, units, *interfaces[component])
         if own:
             chosen = parameter_set("initialValues", own, variables, defined)
-            bindings = ET.SubElement(element, f"{{{SSD}}}ParameterBindings")
-            binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
-            if parameter_files:
-                file = f"resources/{component}.ssv"
-                files[file] = to_file(chosen)
-                binding.attrib.update(type=TYPE, source=file)
-            else:
-                ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
+            file = f"resources/{component}.ssv" if parameter_files else ""
+            files |= {file: to_file(chosen)} if file else {}
+            element.append(_binding(chosen, file))
         elements.append(element)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
     for (source, output), (sink, entry) in ends:
@@ -181,7 +182,7 @@ def write_ssp(
         span = {"startTime": shortest(start_time)}
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
-    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in components.items()}
+    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in paths.items()}
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
 
 
@@ -221,8 +222,22 @@ def _start(described: tuple[Any, dict[str, Any]], name: str) -> float:
     return start_number(described[1][name])
 
 
-def _component(name: str, description: Any, units: Mapping[str, str | None]) -> ET.Element:
+def _binding(chosen: ET.Element, file: str) -> ET.Element:
+    """Return what binds a parameter set, or the file that has it unless its name is empty."""
+    bindings = ET.Element(f"{{{SSD}}}ParameterBindings")
+    binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
+    if file:
+        binding.attrib.update(type=TYPE, source=file)
+    else:
+        ET.SubElement(binding, f"{{{SSD}}}ParameterValues").append(chosen)
+    return bindings
+
+
+def _component(
+    name: str, description: Any, units: Mapping[str, str | None], interface: str = "any"
+) -> ET.Element:
     facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
+    facts |= {} if interface == "any" else {"implementation": interface}
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:

@@ -101,6 +101,41 @@ def _by_name(owner: str, inputs: Any) -> Iterator[tuple[str, Any, Mapping[str, f
             yield str(name), given, {}
 
 
+def with_held(
+    owner: str, inputs: Any, times: Vector, held: Mapping[str, Callable[[Any], float]]
+) -> Any:
+    """Return the inputs of a run, of which some keep the value of a sample until the next one.
+
+    Args:
+        owner, inputs, times: See `followed`.
+        held: Return, or reject, a value of these inputs, by name.
+
+    Raises:
+        ParameterError, UsageError: An input does not have a value, or follows a formula.
+    """
+    if isinstance(inputs, InputSeries):
+        inputs = dict.fromkeys(inputs.names, inputs) if held.keys() & {*inputs.names} else inputs
+    if not isinstance(inputs, Mapping):
+        return inputs
+    found = dict(inputs)
+    for name in held.keys() & inputs.keys():
+        value = inputs[name]
+        if isinstance(value, str | Real):
+            found[name] = held[name](value)
+        elif callable(value) or isinstance(value, tuple):
+            raise UsageError(
+                f"{owner}: {name} changes at events only and follows no formula; give a value, "
+                "or samples"
+            )
+        else:
+            is_series = isinstance(value, InputSeries)
+            series = _column(name, value) if is_series else _samples(owner, name, value, times)
+            for one in np.unique(series.values):
+                held[name](float(one))
+            found[name] = series.held()
+    return found
+
+
 def followed(
     owner: str, inputs: Any, times: Vector, units: Mapping[str, str | None]
 ) -> InputSeries | None:

@@ -14,7 +14,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError, naming_arguments_of
-from cosim.series.csv_file import read_samples
+from cosim.series.csv_file import Words, read_samples
 from cosim.series.samples import Column
 
 SAME_TIME = 1e-12  # relative distance of times that differ by rounding only
@@ -172,6 +172,20 @@ class InputSeries:
         jumping = np.isin(self.time, self.jumps)
         return replace(self, time=np.where(jumping, moved_to(times, self.time), self.time))
 
+    def held(self) -> "InputSeries":
+        """Return the series whose inputs keep the values of a sample until the next one."""
+        changes = (np.diff(self.values, axis=0) != 0).any(axis=1) & (np.diff(self.time) > 0)
+        after = np.flatnonzero(changes) + 1
+        values = self.values.copy()
+        jumps = np.isin(after, np.flatnonzero(np.diff(self.time) == 0))  # which have two rows
+        values[after[jumps]] = self.values[after[jumps] - 1]
+        after = after[~jumps]
+        return replace(
+            self,
+            time=np.insert(self.time, after, self.time[after]),
+            values=np.insert(values, after, self.values[after - 1], axis=0),
+        )
+
     def with_rates(self, rates: Mapping[str, str]) -> "InputSeries":
         """Return the series with the time derivatives of some inputs, which jump at the samples.
 
@@ -245,7 +259,9 @@ def moved_to(grid: Vector, times: Vector) -> Vector:
     return moved
 
 
-def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSeries:
+def read_inputs(
+    path: str | os.PathLike[str], dae: Dae | None = None, words: Words | None = None
+) -> InputSeries:
     r"""Read a time series of some of a model's inputs from a CSV file.
 
     The first line names the columns: `time`, and inputs, with their units in brackets or in a
@@ -253,6 +269,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
 
     Args:
         dae: The model whose inputs the columns are; for those of an FMU, whose units count, None.
+        words: Returns the number that another cell, such as true, says for an input; None for none.
 
     Raises:
         UsageError: The file cannot be read, has no header, too few samples or an unknown unit.
@@ -267,7 +284,7 @@ def read_inputs(path: str | os.PathLike[str], dae: Dae | None = None) -> InputSe
         ('steer_torque',)
     """
     known = {v.name: Column(v.name, v.unit) for v in dae.inputs} if dae else {}
-    times, columns, values, lines = read_samples(Path(path), None, "time", {}, known)
+    times, columns, values, lines = read_samples(Path(path), None, "time", {}, known, words)
     names = tuple(column.name for column in columns)
     for column in columns:
         if dae and column.name not in known:

@@ -4,7 +4,7 @@ import csv
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TextIO
 
@@ -22,6 +22,7 @@ _NAMED = re.compile(r"\s*(.+?)\s*(?:\[([^\[\]]*)\]?|\(([^()]*)\)?)?\s*")
 _WITHOUT_UNIT = re.compile(r"der\(.*\)|\S+\[[\d\s,;]+\]")  # a derivative, an element
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")  # a number with a decimal comma
 _BLOCK = 1000  # rows, that are written at once
+Words = Callable[[str, str], float | None]  # from the name of a column and a cell
 _TIME = re.compile("t|(?i:time|zeit|temps)")  # T is a torque or a temperature
 
 
@@ -76,6 +77,7 @@ def read_samples(
     time: str | None,
     units: Mapping[str, str],
     known: Mapping[str, Column],
+    words: Words | None = None,
 ) -> tuple[Vector, tuple[Column, ...], Vector, list[int]]:
     """Read a CSV file with a header; see `Trajectory.read_csv` for its form and the errors.
 
@@ -85,6 +87,7 @@ def read_samples(
         time: Header of the times; that of a column called time, or the first one, if None.
         units: Units by name of columns without a unit in the file.
         known: Variables by name whose units and meanings apply to columns of that name.
+        words: See `numbers_of`.
 
     Returns:
         Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps; the numbers of
@@ -99,11 +102,11 @@ def read_samples(
         raise UsageError(f"{path}, line {rows[0][0]}: a column has no name; give each one a name")
     names, written = [name for name, _ in header], [unit for _, unit in header]
     body = rows[1:]
-    words = [cell for cell in body[0][1] if cell.strip() != "1"] if body else []  # 1 is a unit
-    if any(map(str.strip, words)) and not any(map(_is_number, words)):
-        line, words = body[0]
-        numbers_of(path, line, ["" for _ in words], names, [])  # rejects another number of cells
-        units_line = [cell.strip() or own for cell, own in zip(words, written, strict=True)]
+    second = [cell for cell in body[0][1] if cell.strip() != "1"] if body else []  # 1 is a unit
+    if any(map(str.strip, second)) and not any(map(_is_number, second)):
+        line, second = body[0]
+        numbers_of(path, line, ["" for _ in second], names, [])  # rejects another number of cells
+        units_line = [cell.strip() or own for cell, own in zip(second, written, strict=True)]
         written, body = units_line, body[1:]
     if not body:
         raise UsageError(f"{path}: there is no sample below the header; give one line or more")
@@ -118,7 +121,7 @@ def read_samples(
         other = written[place_of[key]]
         if other is not None and other != unit and parse_unit(other) is not None:
             raise UsageError(f"{path}: {key} is in '{other}' by its header; units= says '{unit}'")
-    table = np.array([numbers_of(path, line, row, names, places) for line, row in body])
+    table = np.array([numbers_of(path, line, row, names, places, words) for line, row in body])
     _, in_file, target = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
     times = converted(table[:, 0], in_file, target)
     for wrong, problem in (
@@ -232,22 +235,34 @@ def _with_point(cell: str) -> str:
 
 
 def numbers_of(
-    path: Path, line: int, cells: Sequence[str], names: Sequence[str], places: Sequence[int]
+    path: Path,
+    line: int,
+    cells: Sequence[str],
+    names: Sequence[str],
+    places: Sequence[int],
+    words: Words | None = None,
 ) -> list[float]:
-    """Return the numbers of a line at some places; NaN for an empty cell."""
+    """Return the numbers of a line at some places; NaN for an empty cell.
+
+    Args:
+        words: Returns the number that a cell stands for which is none itself; None for no number.
+    """
     if len(cells) != len(names):
         raise ParameterError(
             f"{path}, line {line}: {len(cells)} cells under {len(names)} names; give each "
             "its own, and write numbers with a decimal point"
         )
     chosen = [cells[i].strip() or "nan" for i in places]
+    found = list[float]()
     for name, cell in zip([names[i] for i in places], chosen, strict=True):
-        if not _is_number(cell):
+        value = float(cell) if _is_number(cell) else words and words(name, cell)
+        if value is None:
             hint = "; write one with a decimal point" if "," in cell else ""
             raise ParameterError(
                 f"{path}, line {line}, column '{name}': '{cell}' is not a number{hint}"
             )
-    return [float(cell) for cell in chosen]
+        found.append(value)
+    return found
 
 
 def _is_number(cell: str) -> bool:

@@ -26,8 +26,9 @@ from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import NUMERIC, access_to, by_name, is_number, why_it_ended
+from cosim.fmi.run.instance import access_to, by_name, why_it_ended
 from cosim.fmi.run.request import number_states
+from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed, number
 from cosim.session.clock import Clock

@@ -8,8 +8,8 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import UnknownName, UsageError
-from cosim.fmi.run.instance import by_name, is_number, unit_of
-from cosim.fmi.run.typed_values import typed_value
+from cosim.fmi.run.instance import by_name, unit_of
+from cosim.fmi.run.typed_values import is_number, typed_value
 from cosim.fmi.units import units_for
 from cosim.model.quantities import quantity
 from cosim.model.values import listed

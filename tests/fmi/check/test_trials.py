@@ -87,7 +87,7 @@ def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
     assert json.loads(told.out) == []
     (line,) = [line for line in told.err.splitlines() if line.startswith("passed: ")]
     passed = {one.split()[0] for one in line.removeprefix("passed: ").split("; ")}
-    assert passed - {"bounds"} == {trial.__name__ for trial in TRIALS} - unneeded(fmi)
+    assert passed == {trial.__name__ for trial in TRIALS} - unneeded(fmi)
 
 
 @pytest.mark.slow
@@ -104,7 +104,7 @@ def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compil
     passed = {one.split()[0] for one in results.passed} | {rule for _, rule in found}
     limited = bool(cosim.load(name).limits)
     unneeded_here = unneeded(fmi, limited=limited)
-    assert passed - {"bounds"} == {trial.__name__ for trial in QUICK} - unneeded_here
+    assert passed == {trial.__name__ for trial in QUICK} - unneeded_here
 
 
 @pytest.mark.slow

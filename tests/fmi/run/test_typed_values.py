@@ -7,7 +7,7 @@ from helpers.typed_part import typed_part
 
 from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError
-from cosim.fmi.run.typed_values import reject_beyond_bounds, typed_value
+from cosim.fmi.run.typed_values import reject_beyond_bounds, series_value, typed_value
 
 MODES = SimpleNamespace(
     items=[SimpleNamespace(name="slow", value="1"), SimpleNamespace(name="fast", value="3")]
@@ -86,18 +86,48 @@ def test_value_is_bounded_on_one_side_where_the_file_has_one_bound():
         reject_beyond_bounds(variable, -2.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "cell", "kind"),
-    [("on_in", "true", "Boolean"), ("count_in", "3.7", "Int32"), ("label_in", "above", "String"),
-     ("mode_in", "fast", "Enumeration")],
-)  # fmt: skip
-def test_column_of_a_variable_that_is_no_real_number_is_rejected_by_its_type(
-    name, cell, kind, tmp_path, monkeypatch, capsys
-):
+@pytest.fixture
+def subjects(tmp_path, monkeypatch):
+    """Return the file of every type alone and as a part, and what names of inputs begin with."""
     monkeypatch.chdir(tmp_path)
     path = typed_part(tmp_path)
     (tmp_path / "two.toml").write_text(f"[parts]\na = '{path.name}'\n")
-    for model, column in ((path.name, name), ("two.toml", f"a.{name}")):
-        (tmp_path / "in.csv").write_text(f"time,{column}\n0,{cell}\n1,{cell}\n")
+    return (path.name, ""), ("two.toml", "a.")
+
+
+@pytest.mark.parametrize(
+    ("name", "cell", "reason"),
+    [("on_in", "yes", "on_in = yes is no Boolean; give true or false"),
+     ("count_in", "3.7", "count_in = 3.7 is no Int32; give a whole number"),
+     ("mode_in", "2", r"mode_in = 2.0 is no item of it; give one of slow (1), fast (3)"),
+     ("label_in", "above", "label_in is of type String, which follows no time series"),
+     ("label_in", "1", "label_in is of type String, which follows no time series")],
+)  # fmt: skip
+def test_column_with_what_the_type_of_an_input_does_not_have_is_rejected(
+    name, cell, reason, subjects, tmp_path, capsys
+):
+    for model, prefix in subjects:
+        (tmp_path / "in.csv").write_text(f"time,{prefix}{name}\n0,{cell}\n1,{cell}\n")
         assert main(["simulate", model, "--trust", "--input-file", "in.csv"]) == 2
-        assert f"{column} is of type {kind}; only real inputs follow" in capsys.readouterr().err
+        (line,) = capsys.readouterr().err.splitlines()[-1:]
+        assert reason in line
+
+
+def test_columns_of_every_type_keep_a_sample_until_the_next_one(subjects, tmp_path, capsys):
+    for model, a in subjects:
+        head = ",".join(["time", *(f"{a}{name}_in" for name in ("on", "count", "mode"))])
+        rows = "0,false,-2,slow\n0.35,TRUE,7,fast\n0.7,0,7,1\n"
+        (tmp_path / "in.csv").write_text(f"{head}\n{rows}")
+        outputs = ",".join(f"{a}{name}" for name in ("on", "count", "mode"))
+        arguments = ["--input-file", "in.csv", "--output-interval", "0.175", "--stop-time", "0.7"]
+        assert main(["simulate", model, "--trust", "--outputs", outputs, *arguments]) == 0
+        found = [line.split(",")[1:] for line in capsys.readouterr().out.split()[1:]]
+        first, second, last = ["0", "-2", "1"], ["1", "7", "3"], ["0", "7", "1"]
+        assert found == [first, first, second, second, last]
+
+
+def test_integer_that_a_series_cannot_hold_is_rejected():
+    variable = SimpleNamespace(name="u", type="UInt64", declaredType=None)
+    assert series_value("m", variable, 2**53 - 1) == 2.0**53 - 1
+    with pytest.raises(ParameterError, match="time series hold integers below 2"):
+        series_value("m", variable, 2.0**53)

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from helpers import event_models
 from helpers.fmu_files import remove, with_description
+from helpers.foreign_part import foreign_part
 
 import cosim
 from casadi_models.dae import Model
+from cosim.cli.main import main
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.ensemble.ensemble import RunState
 
@@ -442,3 +444,20 @@ def test_sweep_prints_as_a_summary():
         "s",
     ]
     assert "units" not in stored["turns"].attrs
+
+
+def test_runs_of_an_fmu_whose_reset_is_incomplete_do_not_depend_on_each_other(tmp_path):
+    path = foreign_part(tmp_path, "plant", resets=False)
+    found = cosim.sweep(path, {"u": [2.0, 2.0, 2.0]}, outputs=["y"], stop_time=1.0, workers=0)
+    assert found["y_final"] == pytest.approx(4.0, rel=1e-12)  # (u + 10)/3; 4, 8 and 12 before
+
+
+def test_command_without_workers_survives_an_fmu_that_aborts(tmp_path, capsys):
+    path = foreign_part(tmp_path, "plant", fault="if (self->u == 2) abort()")
+    line = ["sweep", str(path), "--trust", "-p", "u=-1,2,5", "--outputs", "y", "--workers", "0"]
+    assert main(line) == 0
+    printed = capsys.readouterr()
+    rows = [line.split(",") for line in printed.out.splitlines()[1:]]
+    assert [row[2] for row in rows] == ["complete", "failed", "complete"]
+    assert "the FMU crashed (SIGABRT) while it ran" in rows[1][3]
+    assert [float(row[-1]) for row in rows[::2]] == pytest.approx([3.0, 5.0], rel=1e-12)

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the sweep and write its table of runs."""
     if args.model.endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
-    subject = open_subject(args.model)
+    subject = open_subject(args.model, apart=True)
     result = sweep(
         subject,
         samples=_samples(subject, args),

@@ -12,6 +12,7 @@ from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.couple import system_of
+from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, Variable, part_of, reject_types
 from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
@@ -20,6 +21,7 @@ from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_s
 from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName
 from cosim.fmi.archive import naming_places
+from cosim.fmi.run.instance import Interface
 from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.units import Measured
 
@@ -90,6 +92,11 @@ class _System:
             connectors={
                 name: self._connector(name, declared, exposed.get(name, []))
                 for name, declared in self._whole.connectors.items()
+            },
+            unused={
+                self._names[element.place]: (Ability.CO_SIMULATION,)
+                for element in self._whole.walk()
+                if element.interface == Interface.MODEL_EXCHANGE
             },
             name=identifier(root.get("name") or Path(self._document.package.name).stem),
             title=root.get("description", ""),

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 from casadi_models.units import Unit
 from cosim.coupling.ssp.package import Document
 from cosim.errors import FmuError
+from cosim.fmi.run.instance import INTERFACES
 from cosim.fmi.units import Measured
 
 Place = tuple[str, ...]  # names of the systems around an element, and its own
@@ -67,6 +68,7 @@ class Element:
         connectors: By name.
         bound: Descriptions that bind its parameters, later ones replace values of earlier ones.
         fmu: Entry of its FMU, for a component that has one.
+        interface: Of the FMU, that the component asks for, or "any".
         dictionary: What it refers to, for a reference to a signal dictionary.
         elements: What it contains, by name.
         connections: Within it.
@@ -76,6 +78,7 @@ class Element:
     connectors: Mapping[str, Declared]
     bound: tuple[tuple[Document, ET.Element], ...] = ()
     fmu: tuple[Document, str] | None = None
+    interface: str = "any"
     dictionary: tuple[str, Dictionary] | None = None
     elements: Mapping[str, "Element"] = field(default_factory=dict)
     connections: tuple[tuple[Document, ET.Element], ...] = ()
@@ -181,14 +184,17 @@ class _Reader:
             return replace(inner, bound=(*inner.bound, own))
         if kind != _FMU:
             raise document.fault(f"{here.called} ({kind}) cannot be simulated here; only FMUs can")
-        if element.get("implementation", "any") not in ("any", "CoSimulation"):
+        interface = element.get("implementation", "any")
+        if interface not in ("any", *INTERFACES):
             raise document.fault(
-                f"{here.called} asks for {element.get('implementation')}, which cannot be "
-                "simulated here; ask for CoSimulation"
+                f"{here.called} asks for {interface}, which cannot be simulated here; ask for "
+                "CoSimulation or ModelExchange"
             )
         entry, _ = document.find(source)
         connectors = _connectors(element, here)
-        return Element(here.place, connectors, bound=(own,), fmu=(document, entry))
+        return Element(
+            here.place, connectors, bound=(own,), fmu=(document, entry), interface=interface
+        )
 
     def _referred(self, kind: str, source: str, here: _Context) -> Element:
         """Return the system that a component refers to: of this file or of another one."""

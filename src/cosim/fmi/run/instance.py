@@ -30,8 +30,6 @@ class Interface(StrEnum):
 
 
 INTERFACES = tuple(Interface)
-NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
-REALS = ("Real", "Float64", "Float32")
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words
@@ -472,11 +470,6 @@ def getter_name(variable: Any, description: Any) -> str:
 def access_to(variables: Sequence[Any], instance: Any, description: Any) -> Access:
     """Return what gets and sets variables of an instance."""
     return Access(instance, [getter_name(v, description) for v in variables], variables)
-
-
-def is_number(variable: Any) -> bool:
-    """Tell whether a variable holds one number."""
-    return NUMERIC.fullmatch(variable.type) is not None and not variable.dimensions
 
 
 def may_be_set(variable: Any) -> bool:

@@ -61,7 +61,7 @@ class OpenedFmu:
             self.description = with_elements(read_description(self._folder, path))
             self.interface = choose_interface(self._folder, self.description, interface, path)
             self._open = opening.pop_all()  # which stays open, as nothing has failed
-        self.reset_is_enough = True  # before another run; otherwise a new instance is made
+        self.reset_is_enough = is_made_here(path)  # else each run gets a new instance
         self.callback: dict[str, Any] = {}  # of FMI 3; see `instantiated`
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
@@ -210,7 +210,6 @@ def still_open(path: str | os.PathLike[str], interface: str | None) -> OpenedFmu
 @cached_per_thread(4)
 def _opened(path: str, interface: str | None, _changed: tuple[int, ...]) -> OpenedFmu:
     found = OpenedFmu(path, interface)
-    found.reset_is_enough = is_made_here(path)
     finalize(found, ExitStack.close, found._open)
     return found
 

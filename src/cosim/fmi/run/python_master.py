@@ -28,6 +28,7 @@ from cosim.fmi.run.instance import (
     update_discrete_states,
 )
 from cosim.fmi.run.request import FmuRequest, MasterRun, nominals_of
+from cosim.fmi.run.typed_values import REALS, is_continuous
 from cosim.host.progress import doing
 from cosim.model.growth import Growth
 from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
@@ -206,6 +207,26 @@ def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequ
     )
 
 
+class Followers:
+    """Sets the inputs that follow a series: continuous ones at any time, others at events."""
+
+    def __init__(self, instance: Any, request: FmuRequest) -> None:
+        variables = request.followers
+        places = range(len(variables)), [i for i, v in enumerate(variables) if is_continuous(v)]
+        self.all, self.moving = (
+            _setter(instance, request.description, variables, chosen) for chosen in places
+        )
+
+
+def _setter(
+    instance: Any, description: Any, variables: Sequence[Any], places: Sequence[int]
+) -> Callable[[Sequence[float]], None]:
+    """Return what sets those variables that have some places in a row."""
+    chosen = [(i, float if variables[i].type in REALS else int) for i in places]
+    access = access_to([variables[i] for i in places], instance, description)
+    return lambda row: access.set([kind(row[i]) for i, kind in chosen])
+
+
 class Clock:
     """Sets the time of an FMU for model exchange, and the inputs that follow a series.
 
@@ -218,7 +239,7 @@ class Clock:
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._set_time, self._series = instance.setTime, request.inputs
-        self._set_inputs = access_to(request.followers, instance, request.description).set
+        self._followers = Followers(instance, request)
         samples = _sample_times(self._series, request) if self._series else np.empty(0)
         ends = [request.closer.until] if request.closer else []
         self._events = np.union1d(samples, ends).tolist()
@@ -226,15 +247,11 @@ class Clock:
         self._piece = self._series and _after(self._series, request.start)
 
     def set(self, time: float) -> None:
-        """Set the time and the inputs."""
+        """Set the time and the continuous inputs."""
         self.time = time
         self._set_time(time)
-        self.set_inputs(time)
-
-    def set_inputs(self, time: float) -> None:
-        """Set the inputs."""
         if self._piece is not None:
-            self._set_inputs(_values(self._piece, time))
+            self._followers.moving(_values(self._piece, time))
 
     def apply(self, time: float) -> None:
         """Do nothing: fmpy's solver calls it after `set`, which has set the inputs."""
@@ -248,7 +265,7 @@ class Clock:
         """Follow the piece of the series that begins at an event."""
         if self._series is not None:
             self._piece = _after(self._series, time)
-            self.set_inputs(time)
+            self._followers.all(_values(self._piece, time))
 
 
 # -- co-simulation --------------------------------------------------------------------------------
@@ -300,7 +317,8 @@ def _step_with_inputs(
     in the step; of first order if inputs jump within the step of an FMU whose steps have one size.
     """
     abilities, references = request.description.coSimulation, request.input_references
-    set_inputs = access_to(request.followers, instance, request.description).set
+    followers = Followers(instance, request)
+    moving = [i for i, variable in enumerate(request.followers) if is_continuous(variable)]
     any_step = abilities.canHandleVariableCommunicationStepSize
     samples = _sample_times(series, request)
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
@@ -309,7 +327,7 @@ def _step_with_inputs(
 
     def answer(piece: InputSeries, time: float) -> None:
         try:
-            set_inputs(_values(piece, time))
+            followers.moving(_values(piece, time))
         except Exception as error:
             failures.append(error)
 
@@ -319,9 +337,10 @@ def _step_with_inputs(
         for a, b in pairwise([begin, *inner.tolist(), end]):
             piece = series.around((a + b) / 2)
             first, middle, last = piece.at(np.array([a, (a + b) / 2, b])).T
-            set_inputs((first if slopes else middle).tolist())
-            if slopes:
-                slopes(references, [1] * len(references), ((last - first) / (b - a)).tolist())
+            followers.all((first if slopes else middle).tolist())
+            if slopes and references:
+                rates = (last - first)[moving] / (b - a)
+                slopes(references, [1] * len(references), rates.tolist())
             instance.answer = partial(answer, piece)
             reached, ends = step(a, b)
             if failures:
@@ -330,7 +349,7 @@ def _step_with_inputs(
                 return reached, ends
         following = _after(series, end)
         if not slopes or following is not piece:
-            set_inputs(_values(following, end))
+            followers.all(_values(following, end))
         return reached, ends
 
     return driven

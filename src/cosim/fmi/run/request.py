@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from ctypes import POINTER, c_double
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +15,19 @@ from cosim.fmi.run.instance import (
     Interface,
     access_to,
     by_name,
-    is_number,
     may_be_set,
     unit_of,
 )
-from cosim.fmi.run.typed_values import start_number, typed_value
+from cosim.fmi.run.typed_values import (
+    is_continuous,
+    is_number,
+    series_value,
+    start_number,
+    typed_value,
+    value_of_text,
+)
 from cosim.fmi.units import display_of
-from cosim.model.driving import followed
+from cosim.model.driving import followed, with_held
 from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
 from cosim.model.times import one_time, reject_span, time_grid
@@ -31,7 +37,6 @@ from cosim.trajectory import Column, Trajectory
 
 DEFAULT_TOLERANCE = 1e-5  # of model exchange if neither user nor FMU gives one, as in fmpy
 MOST_POINTS = 10_000_000  # output times of a run
-_CONTINUOUS = ("Real", "Float64")
 TIME = "time"
 WHY_NOT_TIME = "since each result has the time of the run by this name; couple the FMU as a part"
 
@@ -109,7 +114,13 @@ class FmuRequest:
         series = None
         if inputs is not None:
             units = {name: unit_of(variable) for name, variable in variables.items()}
-            series = followed(str(name), inputs, time_grid(start, stop, interval), units)
+            held = {
+                n: partial(series_value, str(name), v)
+                for n, v in variables.items()
+                if v.causality == "input" and not is_continuous(v)
+            }
+            times = time_grid(start, stop, interval)
+            series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
         if series is not None:
             _check_series(name, variables, series, values)
         return cls(
@@ -135,8 +146,9 @@ class FmuRequest:
         series = self.inputs
         if series is None:
             return dict(self.values)
-        at_start = series.at(np.array([self.start]))[:, 0]
-        return {**self.values, **dict(zip(series.names, map(float, at_start), strict=True))}
+        at_start = series.at(np.array([self.start]))[:, 0].tolist()
+        first = zip(self.followers, at_start, strict=True)
+        return {**self.values, **{v.name: value_of_text(v.name, v, value) for v, value in first}}
 
     @property
     def relative_tolerance(self) -> float:
@@ -159,8 +171,8 @@ class FmuRequest:
 
     @property
     def input_references(self) -> list[int]:
-        """The value references of the inputs that follow a series."""
-        return Layout.of(self.followers).references
+        """The value references of the continuous inputs that follow a series."""
+        return Layout.of([v for v in self.followers if is_continuous(v)]).references
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -331,14 +343,13 @@ def output_names(
 def _check_series(
     name: object, variables: Mapping[str, Any], series: InputSeries, values: Mapping[str, float]
 ) -> None:
-    """Reject a series for a variable that is no real input or has a constant value as well."""
+    """Reject a series for a variable that is no input or has a constant value as well."""
     known = {n: v for n, v in variables.items() if v.causality == "input"}
     for variable in series.names:
         UnknownName.reject(str(name), "input", known, variable)
-        if known[variable].type not in _CONTINUOUS or known[variable].dimensions:
+        if not is_number(known[variable]):
             raise UsageError(
-                f"{name}: {variable} is {_kind_of(known[variable])}; only real inputs follow time "
-                "series, others take constant values"
+                f"{name}: {variable} is {_kind_of(known[variable])}; only numbers follow a series"
             )
         if variable in values:
             raise UsageError(f"{name}: {variable} is given a value and a series; give one of them")

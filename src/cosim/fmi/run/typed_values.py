@@ -1,17 +1,31 @@
 """Values of FMU variables, checked against the type of the variable."""
 
+import re
 from numbers import Integral
 from typing import Any
 
-from cosim.errors import FmuError, ParameterError
+from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.model.values import number
 
+NUMERIC = re.compile("Real|Integer|Boolean|Enumeration|Float..|U?Int.{1,2}")
+REALS = ("Real", "Float64", "Float32")
 _WORDS = {"true": True, "false": False, "0": False, "1": True}
 RANGES = {"Integer": (-(2**31), 2**31 - 1)}
 for _bits in (8, 16, 32, 64):
     RANGES[f"Int{_bits}"] = (-(2 ** (_bits - 1)), 2 ** (_bits - 1) - 1)
     RANGES[f"UInt{_bits}"] = (0, 2**_bits - 1)
+_EXACT = 2**53  # doubles below it hold every integer
 _LARGEST_FLOAT32 = 3.4028234663852886e38
+
+
+def is_number(variable: Any) -> bool:
+    """Tell whether a variable holds one number."""
+    return NUMERIC.fullmatch(variable.type) is not None and not variable.dimensions
+
+
+def is_continuous(variable: Any) -> bool:
+    """Tell whether an input may change at any time."""
+    return variable.type in REALS and variable.variability == "continuous"
 
 
 def start_number(variable: Any) -> float:
@@ -70,6 +84,33 @@ def typed_value(owner: str, variable: Any, value: Any) -> Any:
     if kind == "Float32" and abs(plain) > _LARGEST_FLOAT32:
         raise ParameterError(f"{owner}: {name} = {value!r} is too large for a Float32")
     return plain
+
+
+def value_of_text(owner: str, variable: Any, value: object) -> Any:
+    """Return a value, or what a text says, as the type of a variable requires."""
+    plain = isinstance(value, str) and variable.type != "String"
+    whole = plain and str(value).strip().removeprefix("-").isdecimal()
+    return typed_value(owner, variable, int(str(value)) if whole else value)
+
+
+def series_value(owner: str, variable: Any, value: object) -> float:
+    """Return the number of a value that an input may have within a time series.
+
+    Raises:
+        UsageError: No input of its type follows one.
+        ParameterError: The type does not have this value.
+    """
+    if NUMERIC.fullmatch(variable.type) is None:
+        raise UsageError(
+            f"{owner}: {variable.name} is of type {variable.type}, which follows no time series; "
+            "give it a constant value"
+        )
+    found = value_of_text(owner, variable, value)
+    if variable.type in RANGES and abs(found) >= _EXACT:
+        raise ParameterError(
+            f"{owner}: {variable.name} = {found}: time series hold integers below 2^53 only"
+        )
+    return float(found)
 
 
 def reject_beyond_bounds(variable: Any, value: Any) -> None:

@@ -16,10 +16,10 @@ from cosim.fmi.run.instance import (
     enter_continuous_time,
     initialize,
     instantiated,
-    is_number,
     read_description,
 )
 from cosim.fmi.run.request import checked_values, output_names
+from cosim.fmi.run.typed_values import is_number
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.local import SAME, reject_no_number, rounding
 

@@ -17,7 +17,9 @@ from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.opened import OpenedFmu
+from cosim.fmi.trust import is_made_here
 from cosim.integrate.ensemble.ensemble import Ensemble
 from cosim.integrate.ensemble.simulate_many import (
     explicit_solver,
@@ -152,10 +154,16 @@ def _taken(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class FmuSubject:
-    """An FMU file that is unpacked and instantiated once in each process."""
+    """An FMU file that is unpacked once in each process.
 
-    def __init__(self, path: str) -> None:
-        self._path, self._fmu = path, OpenedFmu(path)
+    Args:
+        path: The file.
+        apart: Whether each run has a process of its own where this object makes them, and not its
+            copy in a worker.
+    """
+
+    def __init__(self, path: str, *, apart: bool = False) -> None:
+        self._path, self._fmu, self._apart = path, OpenedFmu(path), apart
         atexit.register(self.close)
         self._one_at_a_time = Lock()  # a worker of a cluster may have several threads
         self.name = str(self._fmu.description.modelName)
@@ -217,9 +225,13 @@ class FmuSubject:
         time = self._fmu.request(**taken).grid
 
         def simulate(row: dict[str, float]) -> Trajectory:
-            request = self._fmu.request(start_values=row, outputs=outputs, **taken)
+            options = {"start_values": row, "outputs": outputs, **taken}
             with self._one_at_a_time:
-                run = self._fmu.run(request)
+                run = (
+                    run_apart(self._path, **options)
+                    if self._apart
+                    else self._fmu.run(self._fmu.request(**options))
+                )
             if len(run) != len(time) and "stop" not in run.stats:
                 raise FmuError(f"it recorded {len(run)} of {len(time)} output times")
             note = {"invalid": (run.stats["note"],)} if "note" in run.stats else {}
@@ -234,8 +246,12 @@ class FmuSubject:
 Subject = ModelSubject | FmuSubject
 
 
-def open_subject(subject: Any) -> Subject:
+def open_subject(subject: Any, *, apart: bool = False) -> Subject:
     """Return the model, scene or FMU that a user names, ready to run.
+
+    Args:
+        subject: What the user names.
+        apart: Whether an FMU that was not exported here stays out of this process.
 
     Raises:
         UsageError: It is none of these.
@@ -248,7 +264,7 @@ def open_subject(subject: Any) -> Subject:
     if isinstance(subject, str | os.PathLike):
         name = os.fspath(subject)
         if Path(name).suffix == ".fmu":
-            return FmuSubject(str(Path(name).resolve()))
+            return FmuSubject(str(Path(name).resolve()), apart=apart and not is_made_here(name))
         if Path(name).suffix == ".toml":
             scene = read_scene(name)
             if isinstance(scene.request.solver, Goal):

@@ -15,20 +15,20 @@ from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import Bench, Note, Skipped, reject_lateness
 from cosim.fmi.run.arrays import Access
 from cosim.fmi.run.instance import (
-    NUMERIC,
     Interface,
     access_to,
     by_name,
     enter_continuous_time,
     update_discrete_states,
 )
+from cosim.fmi.run.typed_values import NUMERIC
 
 _TIGHT = 1e-10  # relative tolerance of the reference
 _SHARE = 1e-4  # of a range: a difference that counts
 _INNER_STEPS = (1, 2, 5, 10)  # of a communication step, in solvers with steps of a fixed size
 _FOR_IT = 1 / 6  # share of all time
 _MOST_EVENTS = 1000  # at one time
-_BEYOND = 0.01  # of a step, which ends at a step of the solver inside
+_ROUNDING = 1e-9  # of a step
 _CLOSER = 0.8  # error that steps of a quarter leave
 _MOST = 0.02  # share of the points that may differ, as those between two times of one event
 
@@ -102,6 +102,7 @@ class _Switching:
         """
         bench, rows = self.bench, list[Any]()
         kind = Interface.CO_SIMULATION
+        beyond = bench.internal_step(kind) or _ROUNDING * size  # which a step may end late
         with bench.session(kind, eventModeUsed=True, earlyReturnAllowed=True) as session:
             session.start()
             instance, time, events = session.instance, session.time, 0
@@ -116,7 +117,7 @@ class _Switching:
                     event, ends, early, last = instance.doStep(time, end - time)
                     events = events + 1 if event and last <= time else 0
                     stays = early and last <= time and not event  # else a solver may lag behind
-                    if stays or last > end + _BEYOND * size or events > _MOST_EVENTS:
+                    if stays or last > end + beyond or events > _MOST_EVENTS:
                         fault = f"a step from {time:.9g} to {end:.9g} s ends at {last:.9g} s"
                         raise FmuError(f"in event mode, {fault}")
                     time = last if early else end

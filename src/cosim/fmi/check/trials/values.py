@@ -13,8 +13,8 @@ from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
 from cosim.fmi.run.arrays import Element, with_elements
-from cosim.fmi.run.instance import NUMERIC, REALS, Interface, access_to, may_be_set
-from cosim.fmi.run.typed_values import RANGES, start_number
+from cosim.fmi.run.instance import Interface, access_to, may_be_set
+from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS, start_number
 
 _ROUNDING = 1e-6  # of a start value, as people write it
 _NOISE, _NOISE_32 = 1e-12, 1e-6  # of a number that is read back, and of a Float32
