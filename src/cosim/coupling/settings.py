@@ -5,6 +5,7 @@ from enum import StrEnum
 
 from cosim.errors import UsageError
 from cosim.model.times import reject_rounded
+from cosim.model.values import number
 
 
 class Method(StrEnum):
@@ -42,3 +43,8 @@ class Settings:
                 f"{self.method} has no estimate of its error; give macro_step, or take the "
                 f"method {Method.ITERATED}"
             )
+
+
+def positive(owner: str, name: str, value: float | None) -> float | None:
+    """Return a setting, which is above 0 where it is given."""
+    return None if value is None else number(owner, name, value, positive=True)

@@ -19,7 +19,7 @@ from cosim.coupling.merged import Merged, one_model, sliding_parts
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, free_name, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
-from cosim.coupling.settings import Method, Settings
+from cosim.coupling.settings import Method, Settings, positive
 from cosim.coupling.signals import Signals
 from cosim.coupling.values import values_of
 from cosim.errors import (
@@ -249,10 +249,10 @@ class System:
         self._reject_no_parts()
         return Settings(
             *self.times(span.get("start_time"), span.get("stop_time"), span.get("output_interval")),
-            accuracy=_positive(self.name, "accuracy", accuracy),
-            macro_step=_positive(self.name, "macro_step", macro_step),
+            accuracy=positive(self.name, "accuracy", accuracy),
+            macro_step=positive(self.name, "macro_step", macro_step),
             method=choice(Method, "method", method),
-            tolerance=_positive(self.name, "relative_tolerance", relative_tolerance),
+            tolerance=positive(self.name, "relative_tolerance", relative_tolerance),
             threads=threads,
         )
 
@@ -375,14 +375,13 @@ class System:
         exposed = {end.variable for c in self.connectors.values() if c.is_input for end in c.ends}
         values = self._of_parts(self.start_values)
         inputs = {key for key in exposed if self.parts[key[0]].variable(key[1]).is_input}
+        files: dict[str, Any] = {**self.files}
+        for name, unused in self.unused.items():
+            if Ability.CO_SIMULATION in unused:
+                files[name] = files[name], Interface.MODEL_EXCHANGE
         return write_ssp(
             target,
-            {
-                n: (path, Interface.MODEL_EXCHANGE)
-                if Ability.CO_SIMULATION in self.unused.get(n, ())
-                else path
-                for n, path in self.files.items()
-            },
+            files,
             [(".".join(w.output), ".".join(w.input)) for w in self.connections],
             values={
                 f"{part}.{name}": value
@@ -499,7 +498,3 @@ class System:
                 (e.output_interval for e in daes), default=(stop - start) / 500
             )
         return start, stop, number(self.name, "output_interval", interval, positive=True)
-
-
-def _positive(owner: str, name: str, value: float | None) -> float | None:
-    return None if value is None else number(owner, name, value, positive=True)
