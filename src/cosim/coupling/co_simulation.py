@@ -302,8 +302,8 @@ class CoSimulation:
             if system.begin():
                 system.advance(settings.stop)
         run = self._result(system, settings, rows, bool(interrupts))
-        lost = {n: lost_state(p.instance, p.description) for n, p in system.each()}
-        for name, state in lost.items():
+        lost = system.each(lambda part: lost_state(part.instance, part.description))
+        for name, state in zip(self.parts, lost, strict=True):
             if state:
                 why = f"part '{name}': its state {state} is not finite at the end of the run"
                 run = replace(run, status=f"stopped: {why}")

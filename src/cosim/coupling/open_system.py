@@ -1,9 +1,9 @@
 """`OpenSystem`: parts that are begun, advanced to one time after the other, and closed."""
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import by_name
 from cosim.fmi.run.typed_values import start_number
 
+_Result = TypeVar("_Result")
 _ANY_SIZE = 1e300  # of texts, which do not grow
 
 
@@ -85,8 +86,11 @@ class OpenSystem:
         self._wiring, self._called, self.steps = wiring, called, steps
         start, stop = settings.start, settings.stop
         experiment = {"startTime": start, "stopTime": stop if ends else None}
-        for name, part in self.each():
-            part.start(values.get(name, {}), scale=stop, tolerance=of_parts, **experiment)
+
+        def begin(part: OpenedPart) -> None:
+            part.start(values.get(part.name, {}), scale=stop, tolerance=of_parts, **experiment)
+
+        self.each(begin)
         self.jumps = np.zeros(len(rows.times), dtype=bool)
         self.parts, self._alive = self._structures(rows, steps.of_parts)
         scale, grows = self._scales()
@@ -137,12 +141,23 @@ class OpenSystem:
         """Free what the run needs; the instances of the parts stay."""
         coupling_library().close_coupled(ctypes.byref(self.c))
 
-    def each(self) -> Iterator[tuple[str, OpenedPart]]:
-        """Yield the parts by name, each noted as the one that is called, and named in errors."""
-        for place, (name, part) in enumerate(self._wiring.parts.items()):
+    def each(self, task: Callable[[OpenedPart], _Result]) -> list[_Result]:
+        """Return the results of a task for each part, which is noted as the one that is called.
+
+        Raises:
+            FmuError: The task failed; names the part.
+        """
+        found = list[_Result]()
+        for place, part in enumerate(self._wiring.parts.values()):
             self._called.value = place
             with explained(self._wiring.system, part):
-                yield name, part
+                found.append(task(part))
+        return found
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has begun, even if that failed, and is not closed."""
+        return bool(self.c.coupling)
 
     @property
     def is_done(self) -> bool:
@@ -155,8 +170,7 @@ class OpenSystem:
         library.settle_coupled(ctypes.byref(self.c))
         if not self.is_done:
             return False
-        for _, part in self.each():
-            part.leave_initialization()
+        self.each(OpenedPart.leave_initialization)
         for place, part in zip(self.parts, self._wiring.parts.values(), strict=True):
             place.call = ctypes.pointer(part.functions)
         self.c.feeds = self._wiring.feeds.ctypes.data
