@@ -224,7 +224,9 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
                     (double)self->window.rejected,
                     self->window.begin,
                     self->most,
-                    self->h};
+                    self->h,
+                    system->start,
+                    system->stop};
     const long long n = sizeof own / sizeof *own;
     const long long count = n + (2 * m + 1) * (1 + PAST) + m + 2 * parts;
     if (!place) return count;
@@ -253,6 +255,8 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
     self->window = (Attempts){(long long)own[5], (long long)own[6], own[7]};
     self->most = own[8];
     self->h = own[9];
+    system->start = own[10];
+    if (!system->ends) system->stop = own[11];
     system->time = self->now.t;
     system->rows = 1;
     forget_event(self);

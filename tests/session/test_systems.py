@@ -13,6 +13,7 @@ from helpers.session_models import driven_ball
 
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.session.saved import packed, unpacked
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
 STEP = 0.01
@@ -205,6 +206,91 @@ def test_state_that_is_not_finite_ends_the_session_where_nothing_shows_it(files,
             session.advance(to=0.7)
         session.restore(saved)
         assert session["motor.x"] == 0.0
+
+
+def rooted(folder, lag):
+    """A decay x' = -z x with z^2 = k, which has no solution below 0, and a lag."""
+    model = cosim.Model("rooted", stop_time=1.0)
+    x, k = model.state("x", "1", 1.0, "state"), model.parameter("k", "1", 1.0, "square")
+    z = model.algebraic("z", "1", 1.0, "root")
+    model.derivative(x, -z * x)
+    model.equation(z**2 - k)
+    path = cosim.export_fmu(model.freeze(), folder / "rooted.fmu", fmi=3)
+    return cosim.couple({"root": path, "lag": lag}, {"lag.u": "root.x"}, stop_time=1.0)
+
+
+def test_failed_initialization_is_named_and_a_reset_goes_on(files, tmp_path):
+    system, words = rooted(tmp_path, files["lag"]), "part 'root': .*no solution"
+    with pytest.raises(FmuError, match=words):
+        system.simulate(start_values={"root.k": -1.0})
+    with cosim.open(system) as session:
+        saved = session.save()
+        with pytest.raises(FmuError, match=words):
+            session.reset({"root.k": -1.0})
+        with pytest.raises(FmuError, match="has not begun; begin again with reset"):
+            session.restore(saved)
+        session.reset()
+        session.restore(saved)
+        session.advance(to=0.5)
+        assert session["root.x"] == pytest.approx(exp(-0.5), abs=1e-7)
+
+
+@pytest.mark.parametrize(("own", "others"), [(0.1, 0.01), (0.01, 0.1), (0.1, None)])
+def test_states_of_other_macro_steps_are_rejected(own, others, files):
+    system = lags(files)
+    with (
+        cosim.open(system, macro_step=own) as first,
+        cosim.open(system, macro_step=others) as second,
+    ):
+        first.advance(to=0.2)
+        with pytest.raises(UsageError, match="or with another macro_step"):
+            second.restore(first.save())
+        assert second.time == 0.0
+
+
+@EVERY_WAY
+def test_state_from_before_a_reset_to_another_time_goes_on_with_the_same_bits(way, files):
+    with cosim.open(lags(files), **way) as session:
+        session.advance(to=0.1)
+        saved = session.save()
+        session.advance(to=0.523)
+        expected = session.get()
+        session.reset(start_time=5.003)
+        session.restore(saved)
+        session.advance(to=0.523)
+        np.testing.assert_array_equal(session.get(), expected)
+
+
+def test_state_that_a_part_rejects_is_an_error(files):
+    with cosim.open(balls(files, "ball")) as session:
+        owner, clock, place, content = unpacked("balls", session.save(), has_sum=False)
+        damaged = bytearray(content)
+        damaged[-100] ^= 1
+        saved = packed(owner, clock, place, bytes(damaged), has_sum=False)
+        with pytest.raises(FmuError, match=r"part 'ball': .*rejects the saved state"):
+            session.restore(saved)
+        session.reset()
+        assert session.time == 0.0
+
+
+def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
+    model = cosim.Model("limited", stop_time=1.0)
+    x, u = model.state("x", "1", 0.0, "state"), model.input("u", "1", 0.0, "input")
+    n = model.discrete("n", "1", 0, "count")
+    model.derivative(x, 1.0)
+    model.limit(x < 0.3, "x is small")
+    model.when(u > 1, {n: n + 1}, name="above")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "limited.fmu", fmi=3)
+    system = cosim.couple({"a": path, "lag": files["lag"]}, {"lag.u": "a.x"}, stop_time=1.0)
+    with cosim.open(system) as session:
+        session.advance(to=0.5)
+        session.set({"a.u": 2.0})
+        with session.copy() as other:
+            assert "a: not fulfilled: x is small" in session.invalid
+            assert other.invalid == session.invalid
+            (event,), (same,) = session.advance(to=0.6), other.advance(to=0.6)
+            assert (event.name, event.time) == (same.name, same.time)
+            assert event.name == "a: above"
 
 
 def test_part_that_ends_the_run_is_named_with_the_time(files):

@@ -1,15 +1,15 @@
 """`Life`: what sessions of models and of systems have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
 from typing import Any, NoReturn, Self
+from weakref import finalize
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.session.clock import Clock
 from cosim.session.saved import unpicklable
-from cosim.trajectory import Event
 
 
 class Phase(StrEnum):
@@ -24,15 +24,20 @@ class Phase(StrEnum):
 class Life:
     """A model that stays alive until it is closed.
 
-    Attributes:
+    Args:
         name: Of the model.
+        values: Start values by name, of all resets.
     """
 
-    name: str
     _clock: Clock
     _phase: Phase
     _reason: str  # why the run has ended
-    _stack: ExitStack  # frees the model
+
+    def __init__(self, name: str, values: Mapping[str, Any]) -> None:
+        self.name = name
+        self._start_values = dict(values) if isinstance(values, Mapping) else values
+        self._stack = ExitStack()  # frees the model
+        finalize(self, self._stack.close)
 
     __iter__ = None  # it has names, and no order
 
@@ -72,18 +77,6 @@ class Life:
         """Return values, (n,)."""
         raise NotImplementedError
 
-    def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
-        """Integrate with constant inputs; return the events."""
-        raise NotImplementedError
-
-    def save(self) -> bytes:
-        """Return the state."""
-        raise NotImplementedError
-
-    def restore(self, saved: bytes) -> None:
-        """Set a saved state."""
-        raise NotImplementedError
-
     def copy(self) -> Self:
         """Return another session in the present state."""
         raise NotImplementedError
@@ -93,6 +86,27 @@ class Life:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self.copy()
+
+    def _with_own(self, start_values: Mapping[str, Any] | None) -> Any:
+        """Return start values of a reset; those of `cosim.open` hold for all other names."""
+        given = {} if start_values is None else start_values
+        return {**self._start_values, **given} if isinstance(given, Mapping) else given
+
+    def _reject_copy(self, abilities: Iterable[Any], *, serializes: bool) -> None:
+        """Reject a copy of a session that does not run, or whose FMUs do not allow it.
+
+        Args:
+            abilities: Of the FMUs for co-simulation.
+            serializes: Whether all of them write their states as bytes.
+        """
+        self._require()
+        if not serializes:
+            raise FmuError(
+                f"{self.name} cannot write its state as bytes; it cannot be copied, but go back "
+                "with save and restore"
+            )
+        if any(one.canBeInstantiatedOnlyOncePerProcess for one in abilities):
+            raise FmuError(f"{self.name} allows one instance in a process; it cannot be copied")
 
     def _require(self) -> None:
         """Reject a call that a running session alone answers."""

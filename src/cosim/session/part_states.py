@@ -7,7 +7,6 @@ from typing import Any
 
 from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.errors import FmuError
-from cosim.fmi.run.c_structures import Functions
 from cosim.session.calls import WARNING, PreparedCalls, StateCalls, free_states
 
 _SIZE = struct.Struct("<Q")
@@ -38,7 +37,7 @@ class PartStates:
         self.system, self._parts = system, parts
         self.serializes = all(map(_serializes, parts.values()))
         self._calls = [_calls(part) for part in parts.values()] if self.serializes else []
-        self._kept: list[list[tuple[Functions, ctypes.c_void_p]]] = []
+        self._kept: list[list[ctypes.c_void_p]] = []
 
     def write(self) -> bytes:
         """Return the states as bytes."""
@@ -48,43 +47,43 @@ class PartStates:
                 found.append(calls.save())
         return b"".join(_SIZE.pack(len(one)) + one for one in found)
 
-    def read(self, content: bytes) -> bool:
-        """Set the states that bytes describe; return whether the parts accept them."""
+    def read(self, content: bytes) -> None:
+        """Set the states that bytes describe.
+
+        Raises:
+            FmuError: A part rejects its state.
+        """
         place = 0
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
             (size,) = _SIZE.unpack_from(content, place)
             place += _SIZE.size + size
             with explained(self.system, part):
                 if not calls.restore(content[place - size : place]):
-                    return False
-        return True
+                    raise FmuError("it rejects the saved state")
 
     def keep(self) -> int:
         """Save the states in this process; return their number."""
-        found = []
-        for part in self._parts.values():
-            state = ctypes.c_void_p()
+        states = [ctypes.c_void_p() for _ in self._parts]
+        self._kept.append(states)  # so that all are freed, whichever part fails
+        for part, state in zip(self._parts.values(), states, strict=True):
             self._call(part, "get_fmu_state", ctypes.byref(state))
-            found.append((part.functions, state))
-        self._kept.append(found)
         return len(self._kept) - 1
 
-    def go_back(self, number: int) -> bool:
-        """Set the states of a number; return whether there are such."""
-        if number >= len(self._kept):
-            return False
-        for part, (_, state) in zip(self._parts.values(), self._kept[number], strict=True):
+    def go_back(self, number: int) -> None:
+        """Set the states of a number."""
+        for part, state in zip(self._parts.values(), self._kept[number], strict=True):
             self._call(part, "set_fmu_state", state)
-        return True
 
     def free(self) -> None:
         """Free the states before the instances."""
         if self.serializes:
             for calls, part in zip(self._calls, self._parts.values(), strict=True):
                 free_states(part.instance, calls.free, calls.saved)
-        for functions, state in (one for states in self._kept for one in states):
-            _CALL(functions.free_fmu_state)(functions.stepper, ctypes.byref(state))
-        self._kept.clear()
+        for states in self._kept:
+            for part, state in zip(self._parts.values(), states, strict=True):
+                functions = part.functions
+                if state.value:
+                    _CALL(functions.free_fmu_state)(functions.stepper, ctypes.byref(state))
 
     def _call(self, part: OpenedPart, field: str, place: Any) -> None:
         functions = part.functions

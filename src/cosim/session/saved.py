@@ -27,15 +27,27 @@ def packed(owner: bytes, clock: Clock, number: int, state: bytes, *, has_sum: bo
     return _SUM.pack(zlib.crc32(head if has_sum else head + state)) + head + state
 
 
-def unpacked(saved: bytes, *, has_sum: bool) -> tuple[bytes, Clock, int, bytes] | None:
-    """Return owner, clock, number and state; None if the bytes are damaged."""
+def unpacked(session: str, saved: bytes, *, has_sum: bool) -> tuple[bytes, Clock, int, bytes]:
+    """Return owner, clock, number and state.
+
+    Raises:
+        UsageError: The bytes are no saved session, or damaged.
+    """
+    if type(saved) is not bytes:
+        UsageError.reject(f"{session}: restore", saved, bytes, "what save has returned")
     head, state = saved[_SUM.size : _BEGIN], saved[_BEGIN:]
     if len(head) < _HEAD.size:
-        return None
-    if _SUM.unpack_from(saved)[0] != zlib.crc32(head if has_sum else head + state):
-        return None
+        raise damaged(session)
     form, owner, now, first, length, count, number = _HEAD.unpack(head)
-    return (owner, (now, first, length, count), number, state) if form == _FORMAT else None
+    same_sum = _SUM.unpack_from(saved)[0] == zlib.crc32(head if has_sum else head + state)
+    if form != _FORMAT or not same_sum:
+        raise damaged(session)
+    return owner, (now, first, length, count), number, state
+
+
+def damaged(session: str) -> UsageError:
+    """Return the error of bytes that are no saved session."""
+    return UsageError(f"{session}: these bytes are no saved session, or damaged")
 
 
 def unpicklable(owner: str) -> UsageError:

@@ -3,11 +3,9 @@
 import hashlib
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, NoReturn
-from weakref import finalize
 
 from numpy.typing import ArrayLike
 
@@ -24,7 +22,7 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
-from cosim.session.saved import packed, unpacked
+from cosim.session.saved import damaged, packed, unpacked
 from cosim.session.values import Values, inputs_of, plain_value
 from cosim.trajectory import Event
 
@@ -56,7 +54,7 @@ class Session(Life):
         experiment: Experiment,
         dae: Dae | None = None,
     ) -> None:
-        self.name = file.name
+        super().__init__(file.name, values)
         self._file = file
         self._dae = dae
         self._experiment = experiment
@@ -73,10 +71,7 @@ class Session(Life):
         self._owner = uuid.uuid4().bytes
         if self._serializes:
             self._owner = hashlib.sha256(facts.encode()).digest()[:16]
-        self._start_values = dict(values) if isinstance(values, Mapping) else values
-        self._stack = ExitStack()
         self._used = False
-        finalize(self, self._stack.close)
         self._begin(self._start_values, experiment)
 
     # -- life ---------------------------------------------------------------------------------
@@ -152,14 +147,11 @@ class Session(Life):
             FmuError: The initialization failed, or the session is closed.
         """
         self._reject_closed()
-        given = {} if start_values is None else start_values
-        if isinstance(given, Mapping):
-            given = {**self._start_values, **given}
         experiment = self._experiment
         if start_time is not None:
             start = number(self.name, "start_time", start_time)
             experiment = experiment._replace(startTime=start)
-        self._begin(given, experiment)
+        self._begin(self._with_own(start_values), experiment)
 
     def copy(self) -> "Session":
         """Return another session of the model in the present state.
@@ -167,15 +159,7 @@ class Session(Life):
         Raises:
             FmuError: The FMU cannot write its state as bytes, or allows one instance only.
         """
-        self._require()
-        abilities = self._description.coSimulation
-        if abilities.canBeInstantiatedOnlyOncePerProcess:
-            raise FmuError(f"{self.name} allows one instance in a process; it cannot be copied")
-        if not self._serializes:
-            raise FmuError(
-                f"{self.name} cannot write its state as bytes; it cannot be copied, but go back "
-                "with save and restore"
-            )
+        self._reject_copy([self._description.coSimulation], serializes=self._serializes)
         other = Session(self._file, self._start_values, self._experiment, self._dae)
         other.restore(self.save())
         other._events[:] = self._events
@@ -316,18 +300,14 @@ class Session(Life):
         """
         if self._phase is not Phase.RUNNING:
             self._reject_closed()
-        if type(saved) is not bytes:
-            UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
-        found = unpacked(saved, has_sum=self._file.is_own)
-        if found is None:
-            raise self._damaged()
-        owner, clock, place, content = found
+        owner, clock, place, content = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if self._serializes:
             if not self._states.restore(content):
-                raise self._damaged()
+                self._instance.log_texts.clear()
+                raise damaged(self.name)
         elif not self._states.go_back(place):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
         self._clock = Clock(*clock)
@@ -337,10 +317,6 @@ class Session(Life):
         if violations:
             violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = Phase.RUNNING
-
-    def _damaged(self) -> UsageError:
-        self._instance.log_texts.clear()
-        return UsageError(f"{self.name}: these bytes are no saved session, or damaged")
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:

@@ -20,7 +20,7 @@ class SingleCopies:
         sessions: Of the same model.
     """
 
-    def __init__(self, sessions: Sequence[Session] | Sequence[SystemSession]) -> None:
+    def __init__(self, sessions: Sequence[Session | SystemSession]) -> None:
         first = sessions[0]
         self._sessions = sessions
         self.name, self.inputs, self.outputs = first.name, first.inputs, first.outputs

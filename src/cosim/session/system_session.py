@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
-from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,11 +58,8 @@ class SystemSession(Life):
     def __init__(
         self, system: System, values: Mapping[str, Any], settings: Settings, *, ends: bool
     ) -> None:
-        self.name = system.name
+        super().__init__(system.name, values)
         self._system, self._settings, self._ends = system, settings, ends
-        self._start_values = dict(values) if isinstance(values, Mapping) else values
-        self._stack = ExitStack()
-        finalize(self, self._stack.close)
         self._instances = system.instances()
         self._stack.callback(self._instances.close)
         self._begun = self._stack.enter_context(ExitStack())  # freed before the instances
@@ -89,16 +85,16 @@ class SystemSession(Life):
             for name, part in self._instances.parts.items()
             for state in number_states(part.description)
         )
-        self._owner = self._identity()
         self._begin(self.checked(self._start_values), settings)
 
     def _identity(self) -> bytes:
-        """Return what tells the system from others whose states it cannot take."""
+        """Return what tells the session from those whose states it cannot take."""
         facts = [
             f"{name} {part.description.guid} {part.description.modelName}"
             for name, part in self._instances.parts.items()
         ]
-        return hashlib.sha256("\n".join([*facts, repr(self._system.connections)]).encode()).digest()
+        text = "\n".join([*facts, f"{self._system.connections} {self._settings.macro_step}"])
+        return hashlib.sha256(text.encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -130,15 +126,12 @@ class SystemSession(Life):
     ) -> None:
         """Begin again; see `Session.reset`."""
         self._reject_closed()
-        given = {} if start_values is None else start_values
-        if isinstance(given, Mapping):
-            given = {**self._start_values, **given}
         settings = self._settings
         if start_time is not None:
             start = number(self.name, "start_time", start_time)
             stop = settings.stop if self._ends else settings.stop - settings.start + start
             settings = replace(settings, start=start, stop=stop)
-        self._begin(self.checked(given), settings)
+        self._begin(self.checked(self._with_own(start_values)), settings)
 
     def copy(self) -> "SystemSession":
         """Return another session in the present state; see `Session.copy`.
@@ -147,13 +140,14 @@ class SystemSession(Life):
             FmuError: A part cannot write its state as bytes, or allows one instance only.
         """
         self._require()
-        if not self._states.serializes:
-            raise FmuError(
-                f"{self.name}: a part cannot write its state as bytes; the session cannot be "
-                "copied, but go back with save and restore"
-            )
+        parts = self._instances.parts
+        abilities = (part.description.coSimulation for part in parts.values())
+        self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
+        for name, part in other._instances.parts.items():
+            part.instance.logged_events[:] = parts[name].instance.logged_events
+            part.instance.violations[:] = parts[name].instance.violations
         return other
 
     # -- running ------------------------------------------------------------------------------
@@ -335,7 +329,7 @@ class SystemSession(Life):
     @cached_property
     def _states(self) -> PartStates:
         found = PartStates(self.name, self._instances.parts)
-        self._place = uuid.uuid4().bytes
+        self._saver = self._identity() if found.serializes else uuid.uuid4().bytes
         self._begun.callback(found.free)
         return found
 
@@ -355,27 +349,24 @@ class SystemSession(Life):
             place = states.keep()
         return packed(self._saver, self._clock.facts, place, content, has_sum=False)
 
-    @property
-    def _saver(self) -> bytes:
-        return self._owner[:16] if self._states.serializes else self._place
-
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
         self._reject_closed()
-        if type(saved) is not bytes:
-            UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
-        found = unpacked(saved, has_sum=False)
-        if found is None:
-            raise UsageError(f"{self.name}: these bytes are no saved session, or damaged")
-        owner, clock, place, content = found
+        owner, clock, place, content = unpacked(self.name, saved, has_sum=False)
+        if not self._run.is_open:
+            raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
+        states = self._states
         if owner != self._saver:
-            raise UsageError(f"{self.name}: these bytes were saved by another session or system")
+            raise UsageError(
+                f"{self.name}: these bytes were saved by another session or system, or with "
+                "another macro_step"
+            )
         self._phase = Phase.FAILED
         size = 8 * self._run.numbers(None)
-        if self._states.serializes:
-            self._states.read(content[size:])
+        if states.serializes:
+            states.read(content[size:])
         else:
-            self._states.go_back(place)
+            states.go_back(place)
         self._run.numbers(np.frombuffer(content[:size]).copy(), back=True)
         self._clock = Clock(*clock)
         start, events = self._first
