@@ -79,6 +79,12 @@ static inline void forget_past(Coupling *self) {
     self->rateless = 1;
 }
 
+/* No event is known to end the next macro step. */
+static inline void forget_event(Coupling *self) {
+    self->event = self->missed = INFINITY;
+    self->standstills = self->unreached = self->inevitable = 0;
+}
+
 /* All that happens at the present point, in event mode of the parts that have one, until no input
  * changes by it. */
 static inline int let_happen(Coupling *self) {
@@ -182,8 +188,7 @@ static inline int arrive(Coupling *self) {
         if (system->grows[k]) system->scale[k] = fmax(system->scale[k], fabs(self->now.u[k]));
     extend_ranges(self);
     ++system->macro_steps;
-    self->event = self->missed = INFINITY;
-    self->standstills = self->unreached = self->inevitable = 0;
+    forget_event(self);
     return DONE;
 }
 
@@ -393,7 +398,7 @@ static inline int pass_due_events(Coupling *self) {
         const int passed = back_to_event(self);
         if (passed != DONE) return passed;
     }
-    self->standstills = self->unreached = self->inevitable = 0;
+    forget_event(self);
     return DONE;
 }
 

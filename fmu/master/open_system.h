@@ -69,12 +69,6 @@ static inline int gather_crew(Coupling *self) {
     return 0;
 }
 
-/* No event is known to end the next macro step. */
-static inline void forget_event(Coupling *self) {
-    self->event = self->missed = INFINITY;
-    self->standstills = self->unreached = self->inevitable = 0;
-}
-
 static inline int begin_run(Coupling *self) {
     System *system = self->system;
     const long long m = system->inputs;

@@ -312,11 +312,7 @@ class CoSimulation:
         return run, system.jumps, ranges
 
     def _result(
-        self,
-        opened: OpenSystem,
-        settings: Settings,
-        recorded: Rows,
-        interrupted: bool,
+        self, opened: OpenSystem, settings: Settings, recorded: Rows, interrupted: bool
     ) -> Trajectory:
         system, parts, columns = opened.c, opened.parts, recorded.columns
         rows = int(system.rows)

@@ -121,10 +121,7 @@ def couple_within(
     values = dict[tuple[str, str], float]()
     for name, value in start_values.items():
         with within("start_values", name):
-            own = values_of(found, {name: value}, {})
-            if driven & set(own):
-                raise UsageError(f"{name} is connected and given a value; drop one")
-            values |= own
+            values |= values_of(found, {name: value}, {}, driven)
     opened = set[tuple[str, str]]()
     if isinstance(open_inputs, str):
         raise UsageError.of_type("open_inputs", open_inputs, 'a list, e.g. ["a.u"]')

@@ -38,11 +38,7 @@ class CoupledEnding(IntEnum):
     NOISY = len(Ending) + 2
 
 
-def failure(
-    system: Any,
-    wiring: Wiring,
-    rows: Rows | None = None,
-) -> str:
+def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
     """Return why a run failed, in words that name the part.
 
     Args:

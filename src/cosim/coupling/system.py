@@ -109,10 +109,14 @@ class System:
         return "\n".join(lines)
 
     @property
+    def driven(self) -> set[tuple[str, str]]:
+        """Part and variable of the connected inputs."""
+        return {wire.input for wire in self.connections}
+
+    @property
     def undriven_inputs(self) -> list[str]:
         """Inputs without connection and start value that are not declared open either."""
-        driven = {wire.input for wire in self.connections} | set(self.start_values)
-        driven |= self.open_inputs
+        driven = self.driven | set(self.start_values) | self.open_inputs
         for connector in self.connectors.values():
             driven |= {end.variable for end in connector.ends}
         found = (
@@ -222,7 +226,7 @@ class System:
             threads=bool(threads),
             **span,
         )
-        given = values_of(self.parts, start_values or {}, self.connectors)
+        given = values_of(self.parts, start_values or {}, self.connectors, self.driven)
         if inputs is None or (isinstance(inputs, Mapping) and not inputs):
             return self._simulated(settings, given, outputs)
         times = time_grid(settings.start, settings.stop, settings.interval)
@@ -258,7 +262,7 @@ class System:
 
     def _driven_by(self, signals: Signals, given: Mapping[tuple[str, str], float]) -> "System":
         """Return the system with a part that drives inputs."""
-        taken = {wire.input for wire in self.connections} | set(given)
+        taken = self.driven | set(given)
         driven = {wire.input for wire in signals.connections}
         if twice := [".".join(name) for name in sorted(driven & taken)]:
             raise UsageError(f"{self.name}: {twice[0]} is connected or has a value; give it once")
@@ -463,10 +467,7 @@ class System:
         Args:
             given: Values by `part.variable` or by the name of a connector.
         """
-        own = values_of(self.parts, given, self.connectors)
-        driven = {wire.input for wire in self.connections}
-        if twice := [".".join(name) for name in sorted(driven & own.keys())]:
-            raise UsageError(f"{self.name}: {twice[0]} is connected and given a value; drop one")
+        own = values_of(self.parts, given, self.connectors, self.driven)
         return self._of_parts(self.start_values | own)
 
     def _of_parts(self, values: Mapping[tuple[str, str], float]) -> dict[str, dict[str, float]]:

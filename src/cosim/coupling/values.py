@@ -1,6 +1,6 @@
 """`values_of`: start values of a coupled system, by names of its parts and of its connectors."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from casadi_models.units import Unit
@@ -47,15 +47,17 @@ def values_of(
     parts: Mapping[str, Part],
     given: Mapping[str, float | str],
     connectors: Mapping[str, Connector],
+    driven: Collection[tuple[str, str]] = (),
 ) -> dict[tuple[str, str], float]:
     """Return values by part and variable.
 
     Args:
         given: Numbers in the variable's unit, or texts with a unit, by "part.variable" or by the
             name of a connector of the whole system.
+        driven: Inputs that are connected, which take no values, by part and variable.
 
     Raises:
-        CosimError: A name does not exist, or a value does not fit.
+        CosimError: A name does not exist, a value does not fit, or a variable takes none.
     """
     if not isinstance(given, Mapping):
         raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
@@ -65,6 +67,8 @@ def values_of(
         variables = [parts[part].variable(own) for (part, own), *_ in ends]
         if not all(variable.is_start for variable in variables):
             raise UsageError(f"{name} cannot be given; it is calculated")
+        if any(end.variable in driven for end in ends):
+            raise UsageError(f"{name} is connected and given a value; drop one")
         other = next((v for v in variables if v.type not in REALS), None)
         if other is None:
             plain = _plain(key, value, unit, units)

@@ -17,7 +17,6 @@ _TERMINATED = 3
 _SIZE = ctypes.c_size_t
 _DOUBLE = ctypes.c_double
 _POINTER = ctypes.c_void_p
-_CONTINUOUS = {"Real", "Float64"}
 
 
 class Step(NamedTuple):

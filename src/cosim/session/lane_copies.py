@@ -22,6 +22,7 @@ from cosim.integrate.ensemble.lanes import (
 from cosim.integrate.keywords import requested
 from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.solver import Tolerance
+from cosim.session.values import not_settable
 from cosim.trajectory import Event
 
 _CLOCK = 1e-9  # relative difference of times that agree, as in an FMU
@@ -144,11 +145,7 @@ class LaneCopies:
                 continue
             if name not in (*self._recorded, *self._parameters):
                 raise UnknownName.among(self.name, "input", name, settable)
-            raise UsageError(
-                f"{self.name}: {name} cannot be set during a run, which takes "
-                f"{', '.join(self.inputs) or 'no inputs'} and tunable parameters; give it to "
-                "reset(start_values=...)"
-            )
+            raise not_settable(self.name, name, self.inputs)
         found = self._assigned(values, count)
         if found.refused:
             first = min(found.refused)

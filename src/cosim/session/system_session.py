@@ -35,7 +35,7 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import packed, unpacked
-from cosim.session.values import may_change, sequence_by_name
+from cosim.session.values import may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
 
 _LARGEST = 64  # lists of variables whose calls are prepared
@@ -65,7 +65,7 @@ class SystemSession(Life):
         self._begun = self._stack.enter_context(ExitStack())  # freed before the instances
         self._called = ctypes.c_longlong(-1)
         self._connectors: Mapping[str, Connector] = system.connectors
-        driven = {wire.input for wire in system.connections}
+        self._driven = system.driven
         ends_of = [c for c in self._connectors.values() if c.is_input and not c.is_text]
         behind = {end.variable for connector in ends_of for end in connector.ends}
         own = [
@@ -74,9 +74,8 @@ class SystemSession(Life):
             for v in item.variables.values()
             if v.is_input and NUMERIC.fullmatch(v.type)
         ]
-        self._driven = driven
         outside = [c.name for c in ends_of if all(end.variable in own for end in c.ends)]
-        left = [".".join(one) for one in own if one not in driven | behind]
+        left = [".".join(one) for one in own if one not in self._driven | behind]
         self.inputs = (*outside, *left)
         shown = [c.name for c in self._connectors.values() if c.shows]
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
@@ -187,9 +186,10 @@ class SystemSession(Life):
         except FmuError:
             self._watched = ()
             return
-        for name in (self._watched[i] for i in np.flatnonzero(~np.isfinite(values))):
+        lost = np.flatnonzero(~np.isfinite(values))
+        if lost.size:
             self._phase = Phase.FAILED
-            part, state = split_key(name)
+            part, state = split_key(self._watched[lost[0]])
             raise FmuError(
                 f"{self.name}: part '{part}': its state {state} is not finite at {time:.12g} s"
             )
@@ -237,25 +237,18 @@ class SystemSession(Life):
             named = {**sequence_by_name(self.name, self.inputs, values), **named}
         plain = values_of(self._system.parts, named, self._connectors)
         for key in plain:
-            self._reject_fixed(*key)
+            if key in self._driven:
+                raise UsageError(f"{self.name}: {'.'.join(key)} is connected and cannot be set")
+            if not may_change(self._variable(*key)):
+                raise not_settable(self.name, ".".join(key), self.inputs)
         by_part: dict[str, dict[str, Any]] = {}
         for (part, name), value in plain.items():
             by_part.setdefault(part, {})[name] = value
         if by_part:
             self._change(by_part)
 
-    def _reject_fixed(self, part: str, name: str) -> None:
-        """Raise an error if a variable of a part cannot be set during a run."""
-        shown = f"{part}.{name}"
-        if (part, name) in self._driven:
-            raise UsageError(f"{self.name}: {shown} is connected and cannot be set")
-        variable = by_name(self._instances.parts[part].description)[name]
-        if not may_change(variable):
-            inputs = ", ".join(self.inputs) or "no inputs"
-            raise UsageError(
-                f"{self.name}: {shown} cannot be set during a run, which takes {inputs} and "
-                "tunable parameters; give it to reset(start_values=...)"
-            )
+    def _variable(self, part: str, name: str) -> Any:
+        return by_name(self._instances.parts[part].description)[name]
 
     def _change(self, by_part: Mapping[str, Mapping[str, Any]]) -> None:
         library, place = coupling_library(), ctypes.byref(self._run.c)
@@ -264,13 +257,12 @@ class SystemSession(Life):
         try:
             for name, values in by_part.items():
                 part = self._instances.parts[name]
-                known = by_name(part.description)
+                variables = [self._variable(name, one) for one in values]
                 with explained(self.name, part):
-                    variables = [known[v] for v in values]
                     access_to(variables, part.instance, part.description).set([*values.values()])
         finally:
             library.end_changes(place)
-        self._answer(())
+            self._answer(())
 
     def get(self, names: Sequence[str] | None = None) -> Vector:
         """Return values; see `Session.get`."""
@@ -298,7 +290,7 @@ class SystemSession(Life):
         found = []
         for name, columns in by_part.items():
             part = self._instances.parts[name]
-            variables = [by_name(part.description)[end.variable[1]] for _, end in columns]
+            variables = [self._variable(*end.variable) for _, end in columns]
             found.append(
                 (
                     part,
@@ -316,13 +308,10 @@ class SystemSession(Life):
         if connector is not None and connector.shows:
             return connector.ends[0]
         _, ends, *_ = target(self._system.parts, self._connectors, name)
-        if len(ends) != 1:
+        if len(ends) != 1 or not is_number(self._variable(*ends[0].variable)):
             raise UsageError(f"{self.name}: {name} is not a single number")
-        part, variable = ends[0].variable
-        if not is_number(by_name(self._instances.parts[part].description)[variable]):
-            raise UsageError(f"{self.name}: {name} is not a single number")
-        factor, offset = ends[0].factor, ends[0].offset
-        return End(ends[0].variable, 1 / factor, -offset / factor)
+        variable, factor, offset = ends[0]
+        return End(variable, 1 / factor, -offset / factor)
 
     # -- states -------------------------------------------------------------------------------
 
@@ -336,7 +325,8 @@ class SystemSession(Life):
     def save(self) -> bytes:
         """Return the state of all parts and of the master; see `Session.save`.
 
-        If a part does not write its state as bytes, it holds for this session until its reset.
+        It holds for sessions of the same system with the same macro_step; if a part does not write
+        its state as bytes, for this session until its reset.
         """
         self._require()
         states = self._states

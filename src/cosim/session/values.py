@@ -71,11 +71,7 @@ class Values:
             settable = [v.name for v in self._variables.values() if may_change(v)]
             raise UnknownName.among(self._name, "input", name, settable)
         if not may_change(variable):
-            shown = ", ".join(v.name for v in self.inputs) or "no inputs"
-            raise UsageError(
-                f"{self._name}: {name} cannot be set during a run, which takes {shown} and tunable "
-                "parameters; give it to reset(start_values=...)"
-            )
+            raise not_settable(self._name, name, [v.name for v in self.inputs])
         found = variable, self._calls.groups([variable])[0]
         self._setters[name] = found
         return found
@@ -139,6 +135,15 @@ def plain_value(owner: str, description: Any, variable: Any, value: Any) -> Any:
         units = units_for(variable, description)
         value = quantity(variable.name, value, unit_of(variable) or "1", definitions=units)
     return typed_value(owner, variable, value)
+
+
+def not_settable(owner: str, name: str, inputs: Sequence[str]) -> UsageError:
+    """Return the error of setting a variable between steps that may not be set then."""
+    return UsageError(
+        f"{owner}: {name} cannot be set during a run, which takes "
+        f"{', '.join(inputs) or 'no inputs'} and tunable parameters; give it to "
+        "reset(start_values=...)"
+    )
 
 
 def may_change(variable: Any) -> bool:

@@ -208,14 +208,19 @@ def _solver(instance: Any, request: FmuRequest, clock: "Clock", interrupts: Sequ
 
 
 class Followers:
-    """Sets the inputs that follow a series: continuous ones at any time, others at events."""
+    """Sets the inputs that follow a series: continuous ones at any time, others at events.
+
+    Attributes:
+        continuous: Places of the continuous inputs among all that follow.
+        set_all, set_continuous: Set those inputs to the values of a row of all that follow.
+    """
 
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         variables = request.followers
-        places = range(len(variables)), [i for i, v in enumerate(variables) if is_continuous(v)]
-        self.all, self.moving = (
-            _setter(instance, request.description, variables, chosen) for chosen in places
-        )
+        facts = instance, request.description, variables
+        self.continuous = [i for i, v in enumerate(variables) if is_continuous(v)]
+        self.set_all = _setter(*facts, range(len(variables)))
+        self.set_continuous = _setter(*facts, self.continuous)
 
 
 def _setter(
@@ -251,7 +256,7 @@ class Clock:
         self.time = time
         self._set_time(time)
         if self._piece is not None:
-            self._followers.moving(_values(self._piece, time))
+            self._followers.set_continuous(_values(self._piece, time))
 
     def apply(self, time: float) -> None:
         """Do nothing: fmpy's solver calls it after `set`, which has set the inputs."""
@@ -265,7 +270,7 @@ class Clock:
         """Follow the piece of the series that begins at an event."""
         if self._series is not None:
             self._piece = _after(self._series, time)
-            self._followers.all(_values(self._piece, time))
+            self._followers.set_all(_values(self._piece, time))
 
 
 # -- co-simulation --------------------------------------------------------------------------------
@@ -318,7 +323,6 @@ def _step_with_inputs(
     """
     abilities, references = request.description.coSimulation, request.input_references
     followers = Followers(instance, request)
-    moving = [i for i, variable in enumerate(request.followers) if is_continuous(variable)]
     any_step = abilities.canHandleVariableCommunicationStepSize
     samples = _sample_times(series, request)
     set_slopes = getattr(instance, "setRealInputDerivatives", None)
@@ -327,7 +331,7 @@ def _step_with_inputs(
 
     def answer(piece: InputSeries, time: float) -> None:
         try:
-            followers.moving(_values(piece, time))
+            followers.set_continuous(_values(piece, time))
         except Exception as error:
             failures.append(error)
 
@@ -337,9 +341,9 @@ def _step_with_inputs(
         for a, b in pairwise([begin, *inner.tolist(), end]):
             piece = series.around((a + b) / 2)
             first, middle, last = piece.at(np.array([a, (a + b) / 2, b])).T
-            followers.all((first if slopes else middle).tolist())
+            followers.set_all((first if slopes else middle).tolist())
             if slopes and references:
-                rates = (last - first)[moving] / (b - a)
+                rates = (last - first)[followers.continuous] / (b - a)
                 slopes(references, [1] * len(references), rates.tolist())
             instance.answer = partial(answer, piece)
             reached, ends = step(a, b)
@@ -349,7 +353,7 @@ def _step_with_inputs(
                 return reached, ends
         following = _after(series, end)
         if not slopes or following is not piece:
-            followers.all(_values(following, end))
+            followers.set_all(_values(following, end))
         return reached, ends
 
     return driven
