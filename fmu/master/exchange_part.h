@@ -169,7 +169,6 @@ static inline int outputs_at(Stepped *self, double t, const double *x, const uin
                                : model->get_3(instance, references, n, y, n));
 }
 
-enum { AT_ONCE = 32 };            /* outputs of a call */
 static const double SHARE = 1e-5; /* of a solver's step, for differences */
 
 /* Derivatives of outputs by time while the inputs stay, by differences along the motion. */
@@ -178,11 +177,11 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
     const double t = solver->t;
-    double x[NX], before[AT_ONCE] = {0};
+    double x[NX], before[TOGETHER] = {0};
     (void)orders, (void)count;
     self->fmu.function = NULL;
     self->fmu.status = OK;
-    int wrong = n > AT_ONCE || slope(&solver->ode, t, solver->x, solver->k[0]);
+    int wrong = n > TOGETHER || slope(&solver->ode, t, solver->x, solver->k[0]);
     double d = SHARE * (self->run.stop - self->run.start) / 50;
     if (!wrong && self->run.states)
         d = fmin(d, SHARE * first_step(&solver->ode, t, self->run.stop - self->run.start, solver->x,
@@ -219,7 +218,7 @@ static int restore_model(void *stepper, void *place) {
     memcpy(self->exchange.x, saved->x, sizeof saved->x);
     memcpy(self->exchange.signs, saved->signs, sizeof saved->signs);
     const int status = self->model->saves ? call->set_fmu_state(call->instance, saved->state) : OK;
-    if (status != OK) return status;
+    if (status > WARNING) return status;
     return status_of(self, move_fmu(&self->exchange, saved->t, saved->x) ? CALL_FAILED : DONE);
 }
 

@@ -8,7 +8,8 @@
 
 #include "texts.h"
 
-enum { OK, WARNING, DISCARD, FAILED };             /* status; FMI 2 and 3 agree */
+enum { TOGETHER = 32 };                /* variables of a call that wants an order for each */
+enum { OK, WARNING, DISCARD, FAILED }; /* status; FMI 2 and 3 agree */
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* kinds of FMI 2's status */
 enum { MOST_UPDATES = 1000 };                      /* of discrete states at one time */
 

@@ -6,7 +6,6 @@
 #include "recording.h"
 
 enum { MOST_ORDER = 3 }; /* of derivatives of inputs */
-enum { TOGETHER = 32 };  /* variables of a call that wants an order for each */
 
 typedef struct {
     const Functions *call;

@@ -231,6 +231,7 @@ def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before(threads
         ({"starts": {"b.x_other": 1.0}}, UsageError, "connected and given a value"),
         ({"starts": {"a.x": "1 N"}}, ParameterError, "cannot be converted"),
         ({"starts": {"a.energy": 1.0}}, UsageError, "a.energy cannot be given"),
+        ({"run": {"start_values": {"b.x_other": 1.0}}}, UsageError, "connected and given a value"),
         ({"run": {"method": "newton"}}, UnknownName, "no method 'newton'"),
         ({"run": {"method": "jacobi"}}, UsageError, "give macro_step"),
         ({"run": {"macro_step": 0.1, "accuracy": 1e-3}}, UsageError, "leave macro_step out"),

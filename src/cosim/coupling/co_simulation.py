@@ -39,7 +39,7 @@ from cosim.coupling.wiring import Wiring
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import by_name, invalidity, why_it_ended
-from cosim.fmi.run.request import column_of, lost_state, numeric_names, rounding
+from cosim.fmi.run.request import column_of, numeric_names, rounding
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
@@ -302,12 +302,10 @@ class CoSimulation:
             if system.begin():
                 system.advance(settings.stop)
         run = self._result(system, settings, rows, bool(interrupts))
-        lost = system.each(lambda part: lost_state(part.instance, part.description))
-        for name, state in zip(self.parts, lost, strict=True):
-            if state:
-                why = f"part '{name}': its state {state} is not finite at the end of the run"
-                run = replace(run, status=f"stopped: {why}")
-                raise SolverError(f"{self.name}: {why}", partial=run)
+        if lost := system.lost_state():
+            why = f"{lost} at the end of the run"
+            run = replace(run, status=f"stopped: {why}")
+            raise SolverError(f"{self.name}: {why}", partial=run)
         ranges = Ranges(system.lowest, system.highest, system.sizes, float(system.c.mismatch))
         return run, system.jumps, ranges
 

@@ -53,17 +53,18 @@ class OpenSystem:
         rows: What to record.
         steps: Of parts that take steps of one length.
         tolerance, of_parts: Of the coupling, and of the solvers of the parts.
-        refinement: The first and the longest macro steps, of the usual ones.
-        ends: Whether the run ends at the stop time of the settings; else that tells its scale.
+        refinement: Factor of the usual first and longest macro steps.
+        ends: Whether the run ends at the stop time of the settings, which otherwise only tells
+            how long runs usually are.
         called: Shows the place of the part that is being called.
 
     Attributes:
-        steps: As given.
+        steps: Of parts that take steps of one length.
         c: The `System` of the C code, with its answers.
         parts: Its parts.
-        jumps: Which output times lie at jumps.
-        lowest, highest: Inputs in the first half of the run, and in all of it.
-        sizes: Of the inputs.
+        jumps: Which output times lie at jumps, (times,).
+        lowest, highest: Of the inputs in the first half of the run, and in all of it, (2, inputs).
+        sizes: Of the inputs, (inputs,).
 
     Raises:
         FmuError: A part rejects its start values.
@@ -177,11 +178,18 @@ class OpenSystem:
         library.open_coupled(ctypes.byref(self.c))
         return self.is_done
 
-    def advance(self, goal: float) -> bool:
-        """Go on to a time, s; see `is_done`."""
+    def advance(self, goal: float) -> None:
+        """Go on to a time, s; the answers are in `c`."""
         self.c.goal = goal
         coupling_library().advance_coupled(ctypes.byref(self.c))
-        return self.is_done
+
+    def lost_state(self) -> str:
+        """Return which state of a part is not finite; empty if none is or can be read."""
+        found = self.each(lambda part: part.lost_state())
+        for name, state in zip(self._wiring.parts, found, strict=True):
+            if state:
+                return f"part '{name}': its state {state} is not finite"
+        return ""
 
     def numbers(self, place: Vector | None, *, back: bool = False) -> int:
         """Copy the numbers with which the next macro step begins to a place, or back from there.

@@ -21,6 +21,7 @@ from cosim.fmi.run.instance import (
     is_second,
 )
 from cosim.fmi.run.opened import OpenedFmu
+from cosim.fmi.run.request import lost_state
 from cosim.fmi.run.typed_values import REALS, is_continuous
 
 
@@ -53,10 +54,8 @@ def unused_abilities(
     example = "texts by part, e.g. {'motor': 'no rates'}"
     if not isinstance(abilities, Mapping):
         raise UsageError.of_type("abilities", abilities, example)
-    found, known = (
-        dict[str, tuple[Ability, ...]](),
-        {f"no {ability}": ability for ability in Ability},
-    )
+    found = dict[str, tuple[Ability, ...]]()
+    known = {f"no {ability}": ability for ability in Ability}
     for name, text in abilities.items():
         if name not in parts:
             raise UnknownName.among("the system", "part", name, parts)
@@ -181,6 +180,7 @@ class OpenedPart:
         instance, self.explained = self._fmu.ready()
         if instance is not self.instance:
             self.instance, self.calls = instance, Calls(instance, self.description)
+            self.lost_state = lost_state(instance, self.description)
             self.given, self.shown = (
                 Recorded(instance, self.description, variables)
                 for variables in (self.inputs, self.outputs)

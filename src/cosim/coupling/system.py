@@ -22,13 +22,7 @@ from cosim.coupling.pickling import pickled, with_files
 from cosim.coupling.settings import Method, Settings, positive
 from cosim.coupling.signals import Signals
 from cosim.coupling.values import values_of
-from cosim.errors import (
-    Interrupted,
-    ParameterError,
-    SolverError,
-    UsageError,
-    naming_arguments_of,
-)
+from cosim.errors import Interrupted, ParameterError, SolverError, UsageError, naming_arguments_of
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.instance import Interface

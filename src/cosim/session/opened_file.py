@@ -1,12 +1,14 @@
 """`OpenedFile`: an unpacked FMU for co-simulation that several sessions share."""
 
 import os
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from weakref import finalize
 
 from casadi_models.dae import Dae
+from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.instance import Interface, choose_interface, instantiated, read_description
@@ -39,7 +41,7 @@ class OpenedFile:
             self.is_own = is_made_here(path)
             finalize(self, opening.pop_all().close)
 
-    def instance(self, stack: ExitStack) -> tuple[Any, Any]:
+    def instance(self, stack: ExitStack) -> tuple[Any, Callable[[Exception], FmuError]]:
         """Return a new instance that a stack frees, and a function that explains its errors."""
         facts = self._folder, self.description, Interface.CO_SIMULATION, self.name
         return stack.enter_context(instantiated(*facts))

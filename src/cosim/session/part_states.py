@@ -34,7 +34,7 @@ class PartStates:
                 f"{system} cannot save its state, as {', '.join(fixed)} cannot; begin again with "
                 "reset"
             )
-        self.system, self._parts = system, parts
+        self._system, self._parts = system, parts
         self.serializes = all(map(_serializes, parts.values()))
         self._calls = [_calls(part) for part in parts.values()] if self.serializes else []
         self._kept: list[list[ctypes.c_void_p]] = []
@@ -43,7 +43,7 @@ class PartStates:
         """Return the states as bytes."""
         found = []
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
-            with explained(self.system, part):
+            with explained(self._system, part):
                 found.append(calls.save())
         return b"".join(_SIZE.pack(len(one)) + one for one in found)
 
@@ -57,7 +57,7 @@ class PartStates:
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
             (size,) = _SIZE.unpack_from(content, place)
             place += _SIZE.size + size
-            with explained(self.system, part):
+            with explained(self._system, part):
                 if not calls.restore(content[place - size : place]):
                     raise FmuError("it rejects the saved state")
 
@@ -90,7 +90,7 @@ class PartStates:
         status = _CALL(getattr(functions, field))(functions.stepper, place)
         if status > WARNING:
             call = f"{part.function_name(field.encode())} returned {status}"
-            raise FmuError(f"{self.system}: part '{part.name}': {part.explained(FmuError(call))}")
+            raise FmuError(f"{self._system}: part '{part.name}': {part.explained(FmuError(call))}")
 
 
 def _serializes(part: OpenedPart) -> bool:

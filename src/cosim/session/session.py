@@ -109,7 +109,7 @@ class Session(Life):
         """Replace the instance by a new one."""
         self._stack.close()
         vars(self).pop("_states", None)
-        self._instance, self._explain = self._file.instance(self._stack)
+        self._instance, self._explained = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
         self._used = False
@@ -387,10 +387,6 @@ class Session(Life):
         error = self._explained(FMICallException(function=f"{prefix}{function}", status=status))
         self._instance.log_texts.clear()
         return error
-
-    def _explained(self, error: Exception) -> FmuError:
-        found: FmuError = self._explain(error)
-        return found
 
     def _check(self, status: int, function: str) -> None:
         """Raise the error of a status; one that is more than a rejection ends the run."""

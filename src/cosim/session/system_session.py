@@ -19,14 +19,12 @@ from cosim.coupling.connectors import Connector, End
 from cosim.coupling.failures import failure, violations
 from cosim.coupling.opened_part import explained
 from cosim.coupling.own_steps import is_multiple
-from cosim.coupling.part import split_key
 from cosim.coupling.settings import Settings
 from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import access_to, by_name, why_it_ended
-from cosim.fmi.run.request import number_states
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed, number
@@ -66,24 +64,19 @@ class SystemSession(Life):
         self._called = ctypes.c_longlong(-1)
         self._connectors: Mapping[str, Connector] = system.connectors
         self._driven = system.driven
-        ends_of = [c for c in self._connectors.values() if c.is_input and not c.is_text]
-        behind = {end.variable for connector in ends_of for end in connector.ends}
+        entries = [c for c in self._connectors.values() if c.is_input and not c.is_text]
+        behind = {end.variable for connector in entries for end in connector.ends}
         own = [
             (part, v.name)
             for part, item in system.parts.items()
             for v in item.variables.values()
             if v.is_input and NUMERIC.fullmatch(v.type)
         ]
-        outside = [c.name for c in ends_of if all(end.variable in own for end in c.ends)]
+        outside = [c.name for c in entries if all(end.variable in own for end in c.ends)]
         left = [".".join(one) for one in own if one not in self._driven | behind]
         self.inputs = (*outside, *left)
         shown = [c.name for c in self._connectors.values() if c.shows]
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
-        self._watched = tuple(
-            f"{name}.{state.name}"
-            for name, part in self._instances.parts.items()
-            for state in number_states(part.description)
-        )
         self._begin(self.checked(self._start_values), settings)
 
     def _identity(self) -> bytes:
@@ -172,27 +165,14 @@ class SystemSession(Life):
         if self._phase is Phase.ENDED:
             self._clock.now = float(self._run.c.time)
         else:
-            self._reject_lost_states(goal)
+            if lost := self._run.lost_state():
+                self._phase = Phase.FAILED
+                raise FmuError(f"{self.name}: {lost} at {goal:.12g} s")
             self._clock.reach(goal, step)
         found = self._instances.events()
         for part in self._instances.parts.values():
             part.instance.logged_events.clear()
         return found
-
-    def _reject_lost_states(self, time: float) -> None:
-        """End the session if a state of a part that can be read is not finite."""
-        try:
-            values = self.get(self._watched)
-        except FmuError:
-            self._watched = ()
-            return
-        lost = np.flatnonzero(~np.isfinite(values))
-        if lost.size:
-            self._phase = Phase.FAILED
-            part, state = split_key(self._watched[lost[0]])
-            raise FmuError(
-                f"{self.name}: part '{part}': its state {state} is not finite at {time:.12g} s"
-            )
 
     def _reject_goal(self, goal: float) -> None:
         start, stop = self._run.c.start, self._settings.stop

@@ -117,7 +117,7 @@ class OpenedFmu:
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
-            _reject_not_finite(found, request, lost_state(instance, self.description))
+            _reject_not_finite(found, request, lost_state(instance, self.description)())
         except BaseException as error:
             self._drop()  # its state is unknown
             if isinstance(error, Exception) and not isinstance(error, MissingTool):

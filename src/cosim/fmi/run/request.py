@@ -1,6 +1,6 @@
 """`FmuRequest`: what to compute with an FMU, checked against its model description."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from ctypes import POINTER, c_double
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -399,25 +399,22 @@ def nominals_of(instance: Any, count: int) -> Vector:
     return np.where(np.isfinite(found) & (found > 0), found, 1.0)
 
 
-def number_states(description: Any) -> list[Any]:
-    """Return the states that are one number, of arrays the elements."""
-    states = [by_name(description)[name] for name in sorted(_states(description))]
-    return [variable for variable in states if is_number(variable)]
-
-
-def lost_state(instance: Any, description: Any) -> str:
-    """Return the name of a state that is not finite; or "" if none is or can be read."""
+def lost_state(instance: Any, description: Any) -> Callable[[], str]:
+    """Return what names a state that is not finite now; or "" if none is or can be read."""
     from fmpy.fmi1 import FMICallException
 
-    states = number_states(description)
-    if not states:
-        return ""
-    try:
-        values = access_to(states, instance, description).get()
-    except FMICallException:
-        return ""
-    finite = np.isfinite(np.array(values, dtype=float))
-    return "" if finite.all() else str(states[int(np.argmin(finite))].name)
+    states = [by_name(description)[name] for name in sorted(_states(description))]
+    states = [variable for variable in states if is_number(variable)]  # of arrays the elements
+    access = access_to(states, instance, description)
+
+    def lost() -> str:
+        try:
+            finite = np.isfinite(np.array(access.get(), dtype=float))
+        except FMICallException:
+            return ""
+        return "" if finite.all() else str(states[int(np.argmin(finite))].name)
+
+    return lost
 
 
 @lru_cache(8)
