@@ -13,6 +13,7 @@ from helpers.session_models import driven_ball
 
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.fmi.run.arrays import Access
 from cosim.session.saved import packed, unpacked
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
@@ -208,19 +209,19 @@ def test_state_that_is_not_finite_ends_the_session_where_nothing_shows_it(files,
         assert session["motor.x"] == 0.0
 
 
-def rooted(folder, lag):
-    """A decay x' = -z x with z^2 = k, which has no solution below 0, and a lag."""
+def rooted(folder, lag, drives):
+    """A decay x' = -z x with z^2 = k, which has no solution below 0, and a lag that it drives."""
     model = cosim.Model("rooted", stop_time=1.0)
-    x, k = model.state("x", "1", 1.0, "state"), model.parameter("k", "1", 1.0, "square")
+    x, k = model.state("x", "1", 1.0, "state"), model.input("k", "1", 1.0, "square")
     z = model.algebraic("z", "1", 1.0, "root")
     model.derivative(x, -z * x)
     model.equation(z**2 - k)
     path = cosim.export_fmu(model.freeze(), folder / "rooted.fmu", fmi=3)
-    return cosim.couple({"root": path, "lag": lag}, {"lag.u": "root.x"}, stop_time=1.0)
+    return cosim.couple({"root": path, "lag": lag}, {"lag.u": f"root.{drives}"}, stop_time=1.0)
 
 
 def test_failed_initialization_is_named_and_a_reset_goes_on(files, tmp_path):
-    system, words = rooted(tmp_path, files["lag"]), "part 'root': .*no solution"
+    system, words = rooted(tmp_path, files["lag"], "x"), r"part 'root': .*no solution"
     with pytest.raises(FmuError, match=words):
         system.simulate(start_values={"root.k": -1.0})
     with cosim.open(system) as session:
@@ -230,6 +231,26 @@ def test_failed_initialization_is_named_and_a_reset_goes_on(files, tmp_path):
         with pytest.raises(FmuError, match="has not begun; begin again with reset"):
             session.restore(saved)
         session.reset()
+        session.restore(saved)
+        session.advance(to=0.5)
+        assert session["root.x"] == pytest.approx(exp(-0.5), abs=1e-7)
+
+
+def test_failure_after_a_rejected_value_ends_the_session(files, tmp_path, monkeypatch):
+    accept = Access.set
+
+    def reject(access, values):
+        accept(access, values)
+        raise FmuError("rejected")
+
+    with cosim.open(rooted(tmp_path, files["lag"], "z")) as session:
+        saved = session.save()
+        with monkeypatch.context() as patched:
+            patched.setattr(Access, "set", reject)
+            with pytest.raises(FmuError, match=r"part 'root' failed .*no solution"):
+                session.set({"root.k": -1.0})
+        with pytest.raises(FmuError, match="the session has failed"):
+            session.advance(0.1)
         session.restore(saved)
         session.advance(to=0.5)
         assert session["root.x"] == pytest.approx(exp(-0.5), abs=1e-7)
