@@ -362,6 +362,17 @@ def test_steps_of_one_length_are_the_only_ones(files):
         assert session.time == 0.06
 
 
+@pytest.mark.parametrize("way", [{"macro_step": 0.1}, {}], ids=str)
+def test_equal_steps_reach_the_stop_time_whatever_their_rounding(way, files):
+    """3 * 0.1 is 0.3 and one unit in the last place."""
+    with cosim.open(lags(files), stop_time=0.3, **way) as session:
+        for _ in range(3):
+            session.advance(0.1)
+        assert session["motor.x"] == pytest.approx((1 + exp(-0.6)) / 2, abs=1e-5)
+        with pytest.raises(ParameterError, match=r"after the stop time 0\.3 s"):
+            session.advance(1e-6)
+
+
 WRONG = [
     (lambda s: s.set({"nothing.u": 1.0}), UnknownName, "no part 'nothing'"),
     (lambda s: s.set({"motor.v": 1.0}), UnknownName, "no variable 'v'"),

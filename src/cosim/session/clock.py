@@ -44,6 +44,11 @@ class Clock:
         self.now = target
 
 
+def is_beyond(target: float, stop: float) -> bool:
+    """Tell whether a time is after the stop time, but for rounding as in an FMU."""
+    return target - stop > 1e-9 * abs(target)
+
+
 def target_of(owner: str, now: float, step: float | None, to: float | None) -> float:
     """Return the time to reach, s.
 

@@ -22,10 +22,9 @@ from cosim.integrate.ensemble.lanes import (
 from cosim.integrate.keywords import requested
 from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.solver import Tolerance
+from cosim.session.clock import is_beyond
 from cosim.session.values import not_settable
 from cosim.trajectory import Event
-
-_CLOCK = 1e-9  # relative difference of times that agree, as in an FMU
 
 
 class LaneCopies:
@@ -99,7 +98,7 @@ class LaneCopies:
 
     def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
         """Integrate; see `Engine.advance`."""
-        if target - self._stop > _CLOCK * abs(target):
+        if is_beyond(target, self._stop):
             raise UsageError(
                 f"{self.name}: the step ends at {target:.17g}, beyond the stop time "
                 f"{self._stop:.17g}; give a later one to open"

@@ -28,7 +28,7 @@ from cosim.fmi.run.instance import access_to, by_name, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed, number
-from cosim.session.clock import Clock
+from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
@@ -176,7 +176,7 @@ class SystemSession(Life):
 
     def _reject_goal(self, goal: float) -> None:
         start, stop = self._run.c.start, self._settings.stop
-        if self._ends and goal > stop:
+        if self._ends and is_beyond(goal, stop):
             raise ParameterError(
                 f"{self.name}: {goal:.12g} s is after the stop time {stop:.12g} s; open the "
                 "session with a later one"
