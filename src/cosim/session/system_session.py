@@ -52,6 +52,14 @@ class SystemSession(Life):
         name: Of the system.
         inputs, outputs: Names of the inputs that nothing drives, and of what a run records.
         states: None that are known.
+
+    Example:
+        >>> import cosim
+        >>> file = cosim.export_fmu("crank_shaft", "shaft.fmu", reference="none")
+        >>> with cosim.open(cosim.couple({"shaft": file}, [])) as session:
+        ...     events = session.advance(to=1.0)  # alpha is 10 rad/s2, omega 50 rpm at the start
+        ...     round(session["shaft.omega"], 6)
+        15.235988
     """
 
     states: tuple[str, ...] = ()
