@@ -55,8 +55,8 @@ class SystemSession(Life):
 
     Example:
         >>> import cosim
-        >>> file = cosim.export_fmu("crank_shaft", "shaft.fmu", reference="none")
-        >>> with cosim.open(cosim.couple({"shaft": file}, [])) as session:
+        >>> file = cosim.export_fmu(cosim.load("crank_shaft"), "shaft.fmu")
+        >>> with cosim.open(cosim.couple({"shaft": file}, {})) as session:
         ...     events = session.advance(to=1.0)  # alpha is 10 rad/s2, omega 50 rpm at the start
         ...     round(session["shaft.omega"], 6)
         15.235988
