@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers import event_models
@@ -210,3 +211,20 @@ def test_steps_beyond_the_limit_of_stability_are_warned_of(rate, solver, limit):
     dae = model.freeze()
     unstable = [is_unstable(dae, solver, share * limit / 100) for share in (0.98, 1.1)]
     assert unstable == [False, rate < 0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_undamped_modes_are_found_unstable_whatever_rounding_makes_of_them(seed):
+    """Mixed states of two oscillators; the limit of `rk4` is 2 sqrt(2) over the fastest rate."""
+    mix = np.random.default_rng(seed).normal(size=(4, 4))
+    matrix = np.zeros((4, 4))
+    matrix[:2, 2:] = np.eye(2)
+    matrix[2:, :2] = -np.diag([900.0, 400.0])
+    matrix = mix @ matrix @ np.linalg.inv(mix)
+    model = cosim.Model("oscillators", stop_time=10.0, output_interval=0.1)
+    x = ca.vertcat(*(model.state(f"x_{i}", "1", 1.0, "x") for i in range(4)))
+    for i in range(4):
+        model.derivative(x[i], ca.dot(ca.DM(matrix[i]), x))
+    dae = model.freeze()
+    steps = [share * 2 * np.sqrt(2) / 30 for share in (0.98, 1.1)]
+    assert [is_unstable(dae, "rk4", step) for step in steps] == [False, True]
