@@ -47,6 +47,19 @@ def test_error_falls_with_the_order_of_the_method(solver, algebraic, fmi, tmp_pa
     assert errors[0] / errors[1] > 0.8 * 2 ** ORDERS[solver]  # measured 16 and 300
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_states_that_steps_inside_an_fmu_let_grow_are_noted(fmi, tmp_path):
+    model = cosim.Model("stiff", stop_time=10.0, output_interval=0.1)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -100 * x)
+    with pytest.warns(UserWarning, match="too long for rk4"):
+        path = cosim.export_fmu(model.freeze(), tmp_path / "s.fmu", fmi=fmi, solver="rk4")
+    for master in ("fmpy", "c"):
+        run = cosim.simulate_fmu(path, master=master)
+        assert "x grows to 2e+246; if the model does not" in run.stats["note"]  # before: no note
+    assert "note" not in cosim.simulate_fmu(path, stop_time=0.5)  # 2e12
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.01, 0.003])
 def test_steps_are_those_of_native_simulation(step, tmp_path):
