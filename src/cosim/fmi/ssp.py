@@ -136,12 +136,8 @@ def write_ssp(
             raise ParameterError(
                 f"write_ssp: stop_time = {stop_time:g} s is not after start_time = {start_time:g} s"
             )
-    pairs = {n: one if isinstance(one, tuple) else (one,) for n, one in components.items()}
-    paths, interfaces = (
-        {n: one[0] for n, one in pairs.items()},
-        {n: p[1:] for n, p in pairs.items()},
-    )
-    described = {name: _described(path) for name, path in paths.items()}
+    pairs = {n: one if isinstance(one, tuple) else (one, "any") for n, one in components.items()}
+    described = {name: _described(path) for name, (path, _) in pairs.items()}
     defined = _defined_units(description for description, _ in described.values())
     ends = [_ends(described, pair) for pair in connections]
     given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
@@ -159,11 +155,12 @@ def write_ssp(
     for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
-        element = _component(component, description, units, *interfaces[component])
+        element = _component(component, description, units, pairs[component][1])
         if own:
             chosen = parameter_set("initialValues", own, variables, defined)
             file = f"resources/{component}.ssv" if parameter_files else ""
-            files |= {file: to_file(chosen)} if file else {}
+            if file:
+                files[file] = to_file(chosen)
             element.append(_binding(chosen, file))
         elements.append(element)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
@@ -182,7 +179,7 @@ def write_ssp(
         span = {"startTime": shortest(start_time)}
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
-    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, path in paths.items()}
+    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, (path, _) in pairs.items()}
     return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
 
 
@@ -234,10 +231,11 @@ def _binding(chosen: ET.Element, file: str) -> ET.Element:
 
 
 def _component(
-    name: str, description: Any, units: Mapping[str, str | None], interface: str = "any"
+    name: str, description: Any, units: Mapping[str, str | None], interface: str
 ) -> ET.Element:
     facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
-    facts |= {} if interface == "any" else {"implementation": interface}
+    if interface != "any":
+        facts["implementation"] = interface
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
