@@ -21,7 +21,7 @@ MOST_FRAMES = 6000
 # Of a playback, unless another speed is chosen
 MOST_TURNS = 6 * pi  # rad/s, in which eyes can follow a body
 SHORTEST, LONGEST = 2.0, 60.0  # s, to see what moves and to wait for the end
-LONGEST_OF_TURNS = 20.0  # s, which nobody waits for longer to see fast turns
+LONGEST_OF_TURNS = 20.0  # s, before the speed is rounded; nobody waits longer for fast turns
 
 
 def playback(
@@ -88,7 +88,7 @@ def usual_speed(span: float, turn_rate: float) -> float:
     """Return a speed of playback that eyes can follow: 1, or another one of 1, 2, 5, 10 ...
 
     A playback lasts 2 s to 60 s. It is slower than the run if a body turns more than three times a
-    second, unless it would then last more than 20 s.
+    second, but lasts 20 s then at most, before its speed is rounded down.
 
     Args:
         span: Length of the run, s.
