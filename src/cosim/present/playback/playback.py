@@ -21,7 +21,7 @@ MOST_FRAMES = 6000
 # Of a playback, unless another speed is chosen
 MOST_TURNS = 6 * pi  # rad/s, in which eyes can follow a body
 SHORTEST, LONGEST = 2.0, 60.0  # s, to see what moves and to wait for the end
-LONGEST_OF_TURNS = 20.0  # s, before the speed is rounded; nobody waits longer for fast turns
+LONGEST_OF_TURNS = 20.0  # s, before the speed is rounded: fast turns are worth no longer playback
 
 
 def playback(
