@@ -269,6 +269,7 @@ def test_crosscheck_shows_backends_on_a_terminal_and_nothing_in_a_pipe(tmp_path)
     assert "running" not in pipe.stderr
 
 
+@pytest.mark.slow
 def test_movie_shows_how_many_pictures_are_drawn(tmp_path, monkeypatch):
     terminal = shown_at_once(monkeypatch)
     run = cosim.simulate(spinning(1.0), stop_time=0.3, compiled=False)

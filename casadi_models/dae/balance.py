@@ -10,6 +10,7 @@ from casadi_models.dae.expressions import irregular_place
 from casadi_models.dae.variables import Variable
 
 LARGEST = 64  # unknowns; the sizes of more would take longer than the equations
+FAIR = 2.0**20  # sums of rows apart from their sizes that cost a solution six of its 16 digits
 
 
 def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
@@ -18,7 +19,8 @@ def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     Each coefficient is multiplied by the size of its unknown, so that the sizes of forces beside
     accelerations do not depend on units: a mechanism of micrometers keeps as many digits as one of
     meters. Sizes of rows and columns whose product fits the coefficients best, in the logarithm,
-    give those of the unknowns; where one of the coefficients vanishes, all have size 1.
+    give those of the unknowns; where one of the coefficients vanishes, all have size 1. Sums that
+    are fair at the usual parameters stay as they are there.
 
     Args:
         matrix: Coefficients, (n, n), expressions of the parameters alone.
@@ -41,7 +43,11 @@ def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     fit = ca.sparsify(ca.diag(ca.sum1(lasting)) - lasting.T @ means, 1e-9)
     right = means.T @ ca.sum2(logs) - ca.sum1(logs).T
     unknowns = ca.exp(ca.inv(fit + _together(fit)) @ right)
-    return ca.if_else(ca.mmin(counted) > 0, terms @ unknowns, sums)
+    sizes = ca.if_else(ca.mmin(counted) > 0, terms @ unknowns, sums)
+    usual = ca.DM([parameter.start or 0.0 for parameter in parameters])
+    ratio = ca.Function("ratio", [p], [sums / sizes])(usual)
+    fair = ca.mmax(ratio) <= FAIR * ca.mmin(ratio)
+    return sizes * ratio if fair else sizes
 
 
 def _together(fit: ca.DM) -> ca.DM:

@@ -63,6 +63,7 @@ def charges(size, time):
     return cosim.couple({"first": first.freeze(), "second": second.freeze()}, wires)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("1e-06-0.001")
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-6])
 @pytest.mark.parametrize("time", [1e-6, 1.0, 1e5])

@@ -109,6 +109,7 @@ def changed(ssp, target, old, new, entry="SystemStructure.ssd"):
     return target
 
 
+@pytest.mark.slow
 def test_linear_transformation_of_a_connection_is_applied(ssp, tmp_path):
     old = b'endElement="rider" endConnector="phi" />'
     factor = b'<ssc:LinearTransformation factor="-2" offset="0.5" />'

@@ -132,6 +132,7 @@ def test_accuracy_below_the_noise_of_a_part_is_an_error_that_names_it(tmp_path):
     assert run.final["motor.y"] == pytest.approx((1 + math.exp(-2)) / 2, abs=1e-2)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("abilities", [{}, {"canGetAndSetFMUstate": "false"}], ids=["", "fixed"])
 @pytest.mark.parametrize("grid", [0.05, 0.3, 1.0])
 def test_outputs_that_rounding_freezes_in_short_steps_are_an_error(grid, abilities, tmp_path):
@@ -250,6 +251,7 @@ def test_part_for_scheduled_execution_only_is_rejected_with_the_remedy(tmp_path)
 NO_ROLLBACK = {"canGetAndSetFMUstate": "false"}
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
 @pytest.mark.parametrize("other", [{}, NO_ROLLBACK], ids=["rollback", "none"])
 def test_noise_of_parts_without_rollback_is_no_accuracy(other, accuracy, tmp_path):
@@ -309,6 +311,7 @@ def clock():
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("saves", ["true", "false"])
 @pytest.mark.parametrize("interval", [0.25, 0.05])
 def test_fixed_steps_that_hold_inputs_follow_the_accuracy_unless_the_file_names_them(

@@ -85,6 +85,7 @@ def test_samples_end_macro_steps_of_a_plant_without_rollback(accuracy):
     assert run.stats["all_macro_steps"] < 20_000  # 84,713 before, with 1e-3
 
 
+@pytest.mark.slow
 def test_samples_within_the_implicit_steps_of_a_file_of_fmi_2_are_noted(tmp_path):
     """Only FMI 3 ends macro steps where the own solver of a file does."""
     control = cosim.Model("control", **TIMES)

@@ -108,6 +108,7 @@ def test_the_error_names_signal_step_and_remedy():
     assert np.abs(partial["body.v"]).max() > 1e14
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("method", "damping", "stiffness", "step", "abilities"),
     [

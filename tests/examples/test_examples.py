@@ -58,6 +58,7 @@ def test_example_is_right_to_eight_digits(name):
     assert error(name, run) < 1e-8
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("andrews", "car_axis")
 @EVERY
 def test_default_solver_at_a_tight_tolerance(name):

@@ -126,6 +126,7 @@ def test_co_simulation_reports_a_narrow_limit(kind: str, solver: str, tmp_path: 
         expect(run.stats, kind, width)
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(("solver", "error"), [("ode8", 1e-9), ("rk4", 1.5e-3)])
 @pytest.mark.parametrize("kind", ["one state", "a product"])
 def test_fixed_steps_report_what_their_cubics_miss(

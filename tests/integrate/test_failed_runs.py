@@ -206,6 +206,7 @@ def test_integrator_after_a_failure_equals_a_fresh_one(solver):
     assert np.array(fresh(x0=1, p=1)["xf"]).tobytes() == good.tobytes()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("solver", "compiled"),
     [

@@ -23,6 +23,7 @@ def sized(dae, powers, s):
     return {name: dae.variable(name).start * s**power for name, power in powers.items()}
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows("pendulum-idas", "pendulum-rosenbrock", "bar-idas", "bar-rosenbrock")
 @pytest.mark.parametrize("solver", ["dop853", "idas", "rosenbrock"])
 @pytest.mark.parametrize(

@@ -140,6 +140,7 @@ def test_report_of_something_else_is_refused(capsys):
     assert "plot an FMU with: cosim plot" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_report_fits_a_phone_and_a_dark_screen_and_shows_the_equations(page):
     text = without_playback(page)
     assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text

@@ -74,6 +74,7 @@ SERIALIZED = ("loop", "chain", "events")
 # -- bits -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("group", [1, 5])
 @pytest.mark.parametrize("way", WAYS[:-1], ids=lambda way: way.get("method", "iterated"))
 @pytest.mark.parametrize("name", SYSTEMS)
@@ -90,6 +91,7 @@ def test_session_has_the_bits_and_events_of_a_whole_run(name, way, group, files)
     assert [(e.time, e.name) for e in events] == [(e.time, e.name) for e in whole.events]
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.slow_rows(*(f"{way}-{name}" for way in ("extrapolated", "gauss") for name in SYSTEMS))
 @EVERY_WAY
 @pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "stateless"])

@@ -52,6 +52,14 @@ class SystemSession(Life):
         name: Of the system.
         inputs, outputs: Names of the inputs that nothing drives, and of what a run records.
         states: None that are known.
+
+    Example:
+        >>> import cosim
+        >>> file = cosim.export_fmu(cosim.load("crank_shaft"), "shaft.fmu")
+        >>> with cosim.open(cosim.couple({"shaft": file}, {})) as session:
+        ...     events = session.advance(to=1.0)  # from 50 rad/s at 10 rad/s2
+        ...     round(session["shaft.omega"], 6)
+        60.0
     """
 
     states: tuple[str, ...] = ()

@@ -23,6 +23,7 @@ def relaxation(rate: float):
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_no_model_of_the_catalogue_is_stiff(name):
     assert solver_for(cosim.load(name), None) == "dop853"

@@ -320,6 +320,7 @@ def test_the_compiled_master_sees_no_hill_before_it_is_there(tmp_path):
     np.testing.assert_allclose(run["z"], right, atol=5e-3)  # before: off by 2.3
 
 
+@pytest.mark.slow
 def test_a_rough_road_is_exported_with_a_warning(tmp_path):
     knots = np.arange(0, 80, 0.02)
     heights = np.random.default_rng(0).normal(0, 0.02, len(knots))

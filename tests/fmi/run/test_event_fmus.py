@@ -342,6 +342,7 @@ def test_crosscheck_compares_times_of_events():
     assert all(row["event_shift"] < 1e-8 for row in rows)  # measured 4e-10
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", ["ball", "block", "square_wave", "sampled", "stopping"])
 def test_event_mode_of_co_simulation_gives_the_same_run(exported, name):
     path = str(exported(name, 3))

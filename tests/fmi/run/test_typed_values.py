@@ -97,6 +97,7 @@ def subjects(tmp_path, monkeypatch):
     return (path.name, ""), ("two.toml", "a.")
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize(
     ("name", "cell", "reason"),
     [("on_in", "yes", "on_in = yes is no Boolean; give true or false"),

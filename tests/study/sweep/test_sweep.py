@@ -452,6 +452,7 @@ def test_runs_of_an_fmu_whose_reset_is_incomplete_do_not_depend_on_each_other(tm
     assert found["y_final"] == pytest.approx(4.0, rel=1e-12)  # (u + 10)/3; 4, 8 and 12 before
 
 
+@pytest.mark.slow
 def test_command_without_workers_survives_an_fmu_that_aborts(tmp_path, capsys):
     path = foreign_part(tmp_path, "plant", fault="if (self->u == 2) abort()")
     line = ["sweep", str(path), "--trust", "-p", "u=-1,2,5", "--outputs", "y", "--workers", "0"]
