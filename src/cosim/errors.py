@@ -154,13 +154,13 @@ class CacheError(MissingTool):
     """A folder for compiled code that cannot be used, or that others could write to."""
 
 
-def near_names(name: str, names: Iterable[str], most: int = 3) -> list[str]:
-    """Return the names that are spelt like one, whatever the case of its letters."""
+def near_names(name: str, names: Iterable[str]) -> list[str]:
+    """Return up to three names that are spelt like one, whatever the case of its letters."""
     folded: dict[str, list[str]] = {}
     for known in names:
         folded.setdefault(known.lower(), []).append(known)
-    found = get_close_matches(name.lower(), folded, n=most, cutoff=0.5)
-    return [known for key in found for known in folded[key]][:most]
+    found = get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
+    return [known for key in found for known in folded[key]][:3]
 
 
 _ELSEWHERE = {  # keywords of other tools, by ours; the first that a function has is meant

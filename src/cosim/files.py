@@ -82,10 +82,8 @@ def read_plain(source: str | os.PathLike[str], most_bytes: int = MOST_READ) -> b
         return stream.read()
 
 
-def read_text(source: str | os.PathLike[str], what: str = "") -> str:
+def read_text(source: str | os.PathLike[str]) -> str:
     """Return the text of a plain UTF-8 file that people write; a byte order mark is tolerated.
-
-    Messages say `what` it is, e.g. "the input series ".
 
     Raises:
         UsageError: It cannot be read, or is in another encoding.
@@ -93,7 +91,7 @@ def read_text(source: str | os.PathLike[str], what: str = "") -> str:
     try:
         return read_plain(source, MOST_TEXT).decode("utf-8-sig")
     except OSError as error:
-        raise UsageError(f"cannot read {what}{source}: {error.strerror or error}") from error
+        raise UsageError(f"cannot read {source}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{source} is not a UTF-8 text; save it in UTF-8") from error
 

@@ -11,9 +11,12 @@ from casadi import SX
 import cosim
 from casadi_models.dae import Model
 from cosim.api import simulate
+from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.events import integrate
 from cosim.integrate.nominal import Nominal, scaled
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.inputs import InputSeries
+from cosim.text import Ending
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BINARY = 2.0**20  # micrometers in a meter, nearly, and no rounding
@@ -247,19 +250,33 @@ def test_the_note_names_the_states_whose_digits_are_not_controlled(solver):
     assert simulate(charge()[0], solver=solver, absolute_tolerance=1e-18).stats.note is None
 
 
-@pytest.mark.parametrize("solver", ["cvodes", "dop853", "fmu"])
-def test_states_that_are_small_in_the_rows_only_are_not_noted(solver, tmp_path):
+def oscillator():
     model = Model("oscillator", stop_time=2 * np.pi, output_interval=np.pi)
     x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "speed")
     model.derivative(x, v)
     model.derivative(v, -x)
-    dae = model.freeze()
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "dop853", "fmu"])
+def test_states_that_are_small_in_the_rows_only_are_not_noted(solver, tmp_path):
+    dae = oscillator()
     if solver == "fmu":
         path = cosim.export_fmu(dae, tmp_path / "oscillator.fmu")
         run = cosim.simulate_fmu(path, interface="ModelExchange")
         assert not run.stats.get("note")
     else:
         assert simulate(dae, solver=solver, output_times=[np.pi]).stats.note is None
+
+
+def test_ctrl_c_while_small_states_are_looked_at_ends_the_run(monkeypatch):
+    reasons = iter([Ending(), INTERRUPTED])
+    monkeypatch.setattr(
+        "cosim.integrate.run.integrate",
+        lambda *values: replace(integrate(*values), reason=next(reasons)),
+    )
+    with pytest.raises(KeyboardInterrupt):
+        simulate(oscillator(), output_times=[np.pi])
 
 
 def hunters(start: float):

@@ -1,11 +1,16 @@
 """A step passes over no localized term: bumps of a road, tables, pulses of time."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from casadi import SX
 
 import cosim
+from cosim.errors import Interrupted
+from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.passed_over import attentive
 
 PLACE, SPEED, HEIGHT = 50.3, 10.0, 0.05  # m, m/s, m
 SHAPES = {  # of a variable of width 1, with its area
@@ -303,3 +308,25 @@ def test_info_names_the_terms_whose_changes_are_found():
     facts = cosim.info(moved_bump()).facts
     assert facts["changes of terms, found in steps"] == "of x_1"
     assert not any("changes of terms" in name for name in cosim.info("bicycle").facts)
+
+
+def test_ctrl_c_in_a_further_run_ends_it(monkeypatch):
+    dae = on_road(lambda s: HEIGHT * SHAPES["gauss"][0]((s - PLACE) / 1e-3), output_interval=0.5)
+    count = last = 0
+
+    def interrupted(attempt, *rest):
+        def one(*times):
+            nonlocal count
+            count += 1
+            motion = attempt(*times)
+            return replace(motion, reason=INTERRUPTED) if count == last else motion
+
+        return attentive(one, *rest)
+
+    monkeypatch.setattr("cosim.integrate.events.attentive", interrupted)
+    cosim.simulate(dae)
+    assert count > 3
+    for further in range(2, count + 1):
+        count, last = 0, further
+        with pytest.raises(Interrupted):  # before: a run that passes over the bump
+            cosim.simulate(dae)

@@ -202,3 +202,18 @@ def test_fixed_steps_follow_what_grows():
     model.derivative(x, x)
     run = cosim.simulate(model.freeze(), solver="ode8", step_size=0.01)
     assert run["x"][-1] == pytest.approx(np.exp(30), rel=1e-9)
+
+
+@pytest.mark.parametrize("on_invalid", ["warn", "stop"])
+def test_long_steps_after_the_end_of_a_run_are_no_result(on_invalid):
+    """x, which grows, has few digits from 4 s on; y ends at 1.2 s."""
+    model = Model("late", stop_time=4.0, output_interval=0.5)
+    s, x = model.state("s", "1", 0.0, "s"), model.state("x", "1", 1.0, "x")
+    model.derivative(s, 1.0)
+    model.derivative(x, 3 * x)
+    model.output("y", "1", ca.sqrt(1.2 - s), "y")
+    options = {"solver": "rk4", "step_size": 0.01, "on_invalid": on_invalid}
+    with pytest.raises(SolverError, match=r"y is not finite at 1\.5 s") as caught:
+        cosim.simulate(model.freeze(), **options)
+    assert caught.value.partial.time.tolist() == [0.0, 0.5, 1.0]  # before: up to 3.5 by "stop"
+    assert not caught.value.partial.stats.invalid

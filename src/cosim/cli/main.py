@@ -196,7 +196,8 @@ _NUMBER_AND_UNIT = re.compile(r"(?:.*=)?[-+]?[\d.]+ [A-Za-z][\w./*^]*")
 def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     """Return what to write instead of a word that a verb does not take."""
     options = verb.options()
-    option, before = ["", "", *words][words.index(word) :][:2] if word in words else ("", "")
+    place = words.index(word) if word in words else 0
+    option, before = ["", "", *words][place : place + 2]
     if before.endswith(","):
         return f"; write a list without blanks: {before}{word}"
     if _NUMBER_AND_UNIT.fullmatch(f"{before} {word}"):
@@ -208,8 +209,7 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     name = word.partition("=")[0]
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
-    lists = (a.option_strings for a in verb._actions if str(a.metavar).startswith("A,B"))
-    if any(option in names for names in lists) and not word.startswith("-"):
+    if option in verb.options("A,B") and not word.startswith("-"):
         return f"; write a list with commas: {before},{word}"
     return did_you_mean(name, options)
 

@@ -47,9 +47,10 @@ class Parser(argparse.ArgumentParser):
             words.append(f"[{name}]" if action.nargs in ("*", "?") else name)
         return " ".join([self.prog, *words, "[OPTION ...]"])
 
-    def options(self) -> list[str]:
-        """Return the names of all options."""
-        return [name for action in self._actions for name in action.option_strings]
+    def options(self, metavar: str = "") -> list[str]:
+        """Return the names of all options, or of those whose value has a name that begins so."""
+        chosen = (a for a in self._actions if str(a.metavar).startswith(metavar))
+        return [name for action in chosen for name in action.option_strings]
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

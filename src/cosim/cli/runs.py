@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -134,13 +135,16 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
 def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
     """Return the inputs of a command line."""
 
-    def number_of_word(name: str, cell: str) -> float | None:
+    @cache
+    def variable_of(name: str) -> Any:
         if args.model.endswith(".fmu"):
-            variable = part_of("fmu", args.model).variables.get(name)
-        else:
-            system = read_system(args.model)
-            (part, own), *_ = target(system.parts, system.connectors, name).ends[0]
-            variable = system.parts[part].variable(own)
+            return part_of("fmu", args.model).variables.get(name)
+        system = read_system(args.model)
+        (part, own), *_ = target(system.parts, system.connectors, name).ends[0]
+        return system.parts[part].variable(own)
+
+    def number_of_word(name: str, cell: str) -> float | None:
+        variable = variable_of(name)
         if variable is None or variable.type in REALS:
             return None
         return series_value(args.model, variable, cell)

@@ -151,9 +151,10 @@ def compile_library(
         arguments = [word for word in arguments if not _LEVEL.fullmatch(word)]
     call = [*compiler, *arguments, *map(str, sources), "-o", str(target), *libraries]
     try:
-        quick = is_bundled(compiler) and target.suffix in (".so", ".dylib")
-        failed, output = _output_of([*call, *_NO_RUNTIME * quick], target.parent, halted)
-        if failed and quick:
+        failed = 1
+        if is_bundled(compiler) and target.suffix in (".so", ".dylib"):
+            failed, output = _output_of([*call, *_NO_RUNTIME], target.parent, halted)
+        if failed:
             failed, output = _output_of(call, target.parent, halted)
     except subprocess.TimeoutExpired as error:
         raise CompilerTimeout(

@@ -71,7 +71,14 @@ class Landmarks:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Where a term changes: its variable there, if a step over it sees that, if that is all."""
+    """Where a term changes.
+
+    Attributes:
+        term: The term.
+        places: Values of its variable there.
+        is_step: Whether a step over all of them sees a change.
+        is_whole: Whether `places` are all of them, and not a selection.
+    """
 
     term: InnerTerm
     places: Vector

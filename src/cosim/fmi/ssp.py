@@ -159,7 +159,8 @@ def write_ssp(
         if own:
             chosen = parameter_set("initialValues", own, variables, defined)
             file = f"resources/{component}.ssv" if parameter_files else ""
-            files |= {file: to_file(chosen)} if file else {}
+            if file:
+                files[file] = to_file(chosen)
             element.append(_binding(chosen, file))
         elements.append(element)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
@@ -233,7 +234,8 @@ def _component(
     name: str, description: Any, units: Mapping[str, str | None], interface: str
 ) -> ET.Element:
     facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
-    facts |= {} if interface == "any" else {"implementation": interface}
+    if interface != "any":
+        facts["implementation"] = interface
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:

@@ -19,6 +19,7 @@ from cosim.arrays import Vector
 from cosim.codegen.changes import apart, bent_parts, parted, with_surroundings
 from cosim.codegen.landmarks import knots_of, way_of
 from cosim.codegen.terms import Terms, terms_of
+from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
@@ -102,12 +103,15 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
             if place not in settled and _is_passed(motion, place, p, least)
         ]
     searched = motion
+    if searched.reason == INTERRUPTED:
+        return searched
     if plain.dae.limits and places:
         motion = attempt(np.union1d(grid, _inside(grid, [place.times for place in places])), ends)
     else:
         motion = attempt(grid, ends) if len(ends) else plain
     least = _EFFECT * tolerance * _sizes(searched)
-    if places and not searched.reason and not _agree(searched, motion, grid, least):
+    complete = not searched.reason and motion.reason != INTERRUPTED
+    if places and complete and not _agree(searched, motion, grid, least):
         motion = searched  # whose rows let the solver see what it otherwise passes over
     if not passed:
         return _with_note_on_unbounded(dae, motion)
@@ -141,7 +145,7 @@ def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
     The names of several quantities of one term are joined by commas.
     """
-    names = [*(state.name for state in dae.states), "time"]
+    names = _moving(dae)
     single, several = [names[moving] for moving in single_terms(dae)], several_terms_of(dae)
     if several is None:
         return tuple(single), ()
@@ -156,6 +160,11 @@ def _has_terms(dae: Dae) -> bool:
     return bool(terms_of(dae)) or several_terms_of(dae) is not None
 
 
+def _moving(dae: Dae) -> list[str]:
+    """Return the names of what may move terms."""
+    return [*(state.name for state in dae.states), "time"]
+
+
 def _moved(terms: Terms, path: Path) -> Vector:
     """Return what moves some terms on a path, (n,)."""
     return np.asarray(np.vstack((path.states, path.time))[terms.moving])
@@ -167,7 +176,7 @@ def _along(terms: Terms, term: int, p: Vector, path: Path) -> Vector:
 
 def _found(dae: Dae, motion: Motion, p: Vector, steps: int) -> list[Place]:
     """Return where terms bend within a part of an average step."""
-    names = [*(state.name for state in dae.states), "time"]
+    names = _moving(dae)
     path, found = Path.of(motion, p), list[Place]()
     for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
@@ -218,7 +227,7 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
 
 
 def finer_than_steps(motion: Motion, p: Vector, inputs: InputSeries | None) -> str:
-    """Return which tables, or rows of inputs, have more values than a motion has equal steps."""
+    """Return which table, or rows of inputs, has more values than a motion has equal steps."""
     begin, end = motion.time[[0, -1]]
     if inputs is not None:
         rows = (begin < inputs.time) & (inputs.time < end)
@@ -228,8 +237,7 @@ def finer_than_steps(motion: Motion, p: Vector, inputs: InputSeries | None) -> s
     for terms in terms_of(motion.dae):
         x, knots = _moved(terms, path), _knots(motion.dae, terms, p)
         if ((x.min() < knots) & (knots < x.max())).sum() > _counted(motion):
-            name = [*(state.name for state in motion.dae.states), "time"][terms.moving]
-            return f"steps pass over knots of a table of {name}"
+            return f"steps pass over knots of a table of {_moving(motion.dae)[terms.moving]}"
     return ""
 
 

@@ -75,7 +75,11 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck,
     def again(times: Vector) -> Motion:
         if isinstance(solver, FixedStep):  # rows would be ends of steps, of another motion
             return found
-        return integrate(replace(problem, times=np.union1d(grid, times).tobytes()), solver, start)
+        closer = replace(problem, times=np.union1d(grid, times).tobytes())
+        more = integrate(closer, solver, start)
+        if more.reason == INTERRUPTED:
+            raise KeyboardInterrupt
+        return more
 
     if found.reason and (name := _rate_without_value(dae, float(grid[0]), start)):
         found.reason = Ending(
@@ -124,7 +128,7 @@ def _evaluated(
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
         reason = reason or Ending(f"{name} is not finite at {grid[n]:g} s")
-    found = list(filter(None, [check.breach]))
+    found = list[Breach]()
     if watches_singularity:
         singular = first_singular_configuration(dae, solved, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
@@ -132,14 +136,17 @@ def _evaluated(
             reason = Ending(why, EndKind.SINGULAR, PROJECTION)
         elif singular is not None:  # an explicit formulation goes on, with a warning
             found.append(singular)
+    coarse = check.breach if check.breach and check.breach.position <= n else None
+    if coarse:  # which may be the cause of what ends the run
+        found.append(coarse)
     if checked:
         found += breaches(dae, solved, seen, n, first_left(motion, p, again))
-        found.sort(key=lambda breach: (breach.position, breach != check.breach, breach.reason.time))
+        found.sort(key=lambda breach: (breach.position, breach != coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
     projectable = watches_singularity and dae.has_conditioned_multipliers and dae.invariants
-    if check.diverges and check.breach and check.breach.position < n:
-        n, reason = check.breach.position, Ending(check.breach.reason, remedy=_SHORTER)
+    if coarse and check.diverges and coarse.position < n:
+        n, reason = coarse.position, Ending(coarse.reason, remedy=_SHORTER)
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
         near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
@@ -341,11 +348,8 @@ def evaluated(
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
     status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
-    return (
-        motion,
-        Recorded(time, table, status, invalid, _note(prepared, motion, check, again)),
-        reason,
-    )
+    note = _note(prepared, motion, check, again)
+    return motion, Recorded(time, table, status, invalid, note), reason
 
 
 def trajectory_of(
@@ -412,14 +416,8 @@ def _note(prepared: Prepared, motion: Motion, check: StepCheck, again: Again) ->
     if small and not motion.reason:
         seen = again(rows_between(motion, problem.grid))
         small = _small_states(problem.dae, inner, seen.states)
-    notes = (
-        tight if inner != prepared.solver else "",
-        gaps,
-        prepared.note,
-        small,
-        motion.note,
-        check.note,
-    )
+    changed = tight if inner != prepared.solver else ""
+    notes = changed, gaps, prepared.note, small, motion.note, check.note
     return "; ".join(filter(None, notes)) or None
 
 

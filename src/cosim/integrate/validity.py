@@ -11,6 +11,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.invariants import CONSTRAINT_CONDITION, SINGULAR_CONDITION
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
+from cosim.codegen.runge_kutta.tableau import DIVERGED
 from cosim.errors import InitialConditionError
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.modes import hybrid
@@ -21,7 +22,6 @@ from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
 from cosim.text import Violation, violated
 
 STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
-_DIVERGED = 1e3  # times the size of the run with half the step
 
 
 class Breach(NamedTuple):
@@ -120,7 +120,8 @@ class StepCheck(NamedTuple):
 
     Attributes:
         breach: Where the runs differ too much first; None if nowhere.
-        diverges: Whether the longer steps let states grow without bound, or half of them do.
+        diverges: Whether the longer steps make a state `DIVERGED` times too large, or half of them
+            fail.
         note: Which state has few digits, although the runs do not differ too much.
     """
 
@@ -132,8 +133,9 @@ class StepCheck(NamedTuple):
 def step_check(dae: Dae, time: Vector, states: Vector, finer: Vector, step: float) -> StepCheck:
     """Compare a run of fixed steps with the same run with half the step.
 
-    The difference estimates the error of the longer step. A state without a nominal value has few
-    digits if it differs by that share of its largest value.
+    The difference estimates the error of the longer step. It is too large above `STEP_DOUBT` in
+    nominal values. A state without a nominal value has few digits above this share of its largest
+    value.
 
     Args:
         dae: The model.
@@ -155,7 +157,7 @@ def step_check(dae: Dae, time: Vector, states: Vector, finer: Vector, step: floa
         row = int(np.argmax(scaled[:, i]))
         off = f"half the step changes {dae.states[row].name} by {change[row, i]:.2g}"
         what = f"the step of {step:g} s is too long: {off if i < known else 'half of it fails'}"
-        large = peaks[0] > _DIVERGED * np.maximum(peaks[1], nominal)
+        large = peaks[0] > DIVERGED * np.maximum(peaks[1], nominal)
         diverges = bool(large.any()) or known < states.shape[1]
         return StepCheck(Breach(i, Violation(float(time[i]), what)), diverges)
     size = np.maximum(*peaks)

@@ -108,10 +108,11 @@ def with_held(
 
     Args:
         owner, inputs, times: See `followed`.
-        held: Return, or reject, a value of these inputs, by name.
+        held: By the names of these inputs, what turns a value into a number, or rejects it.
 
     Raises:
-        ParameterError, UsageError: An input does not have a value, or follows a formula.
+        ParameterError: An input cannot have a value.
+        UsageError: An input follows a formula or a function.
     """
     if isinstance(inputs, InputSeries):
         inputs = dict.fromkeys(inputs.names, inputs) if held.keys() & {*inputs.names} else inputs

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers import event_models
@@ -44,6 +45,19 @@ def test_error_falls_with_the_order_of_the_method(solver, algebraic, fmi, tmp_pa
         for h in (0.5, 0.25)
     ]
     assert errors[0] / errors[1] > 0.8 * 2 ** ORDERS[solver]  # measured 16 and 300
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_states_that_steps_inside_an_fmu_let_grow_are_noted(fmi, tmp_path):
+    model = cosim.Model("stiff", stop_time=10.0, output_interval=0.1)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -100 * x)
+    with pytest.warns(UserWarning, match="too long for rk4"):
+        path = cosim.export_fmu(model.freeze(), tmp_path / "s.fmu", fmi=fmi, solver="rk4")
+    for master in ("fmpy", "c"):
+        run = cosim.simulate_fmu(path, master=master)
+        assert "x grows to 2e+246; if the model does not" in run.stats["note"]  # before: no note
+    assert "note" not in cosim.simulate_fmu(path, stop_time=0.5)  # 2e12
 
 
 @pytest.mark.slow
@@ -210,3 +224,20 @@ def test_steps_beyond_the_limit_of_stability_are_warned_of(rate, solver, limit):
     dae = model.freeze()
     unstable = [is_unstable(dae, solver, share * limit / 100) for share in (0.98, 1.1)]
     assert unstable == [False, rate < 0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_undamped_modes_are_found_unstable_whatever_rounding_makes_of_them(seed):
+    """Mixed states of two oscillators; the limit of `rk4` is 2 sqrt(2) over the fastest rate."""
+    mix = np.random.default_rng(seed).normal(size=(4, 4))
+    matrix = np.zeros((4, 4))
+    matrix[:2, 2:] = np.eye(2)
+    matrix[2:, :2] = -np.diag([900.0, 400.0])
+    matrix = mix @ matrix @ np.linalg.inv(mix)
+    model = cosim.Model("oscillators", stop_time=10.0, output_interval=0.1)
+    x = ca.vertcat(*(model.state(f"x_{i}", "1", 1.0, "x") for i in range(4)))
+    for i in range(4):
+        model.derivative(x[i], ca.dot(ca.DM(matrix[i]), x))
+    dae = model.freeze()
+    steps = [share * 2 * np.sqrt(2) / 30 for share in (0.98, 1.1)]
+    assert [is_unstable(dae, "rk4", step) for step in steps] == [False, True]

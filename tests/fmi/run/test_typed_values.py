@@ -6,6 +6,8 @@ import pytest
 from helpers.typed_part import typed_part
 
 from cosim.cli.main import main
+from cosim.coupling.files import read_system
+from cosim.coupling.part import part_of
 from cosim.errors import FmuError, ParameterError
 from cosim.fmi.run.typed_values import reject_beyond_bounds, series_value, typed_value
 
@@ -125,6 +127,22 @@ def test_columns_of_every_type_keep_a_sample_until_the_next_one(subjects, tmp_pa
         found = [line.split(",")[1:] for line in capsys.readouterr().out.split()[1:]]
         first, second, last = ["0", "-2", "1"], ["1", "7", "3"], ["0", "7", "1"]
         assert found == [first, first, second, second, last]
+
+
+def test_words_in_a_column_read_a_file_once(subjects, tmp_path, monkeypatch):
+    read = []
+    for name, function in (("part_of", part_of), ("read_system", read_system)):
+        counted = lambda *values, own=function: read.append(own) or own(*values)  # noqa: E731
+        monkeypatch.setattr(f"cosim.cli.runs.{name}", counted)
+    for model, a in subjects:
+        counts = []
+        for rows in (2, 20):
+            lines = [f"time,{a}on_in", *(f"{i},true" for i in range(rows))]
+            (tmp_path / "in.csv").write_text("\n".join(lines))
+            read.clear()
+            assert main(["simulate", model, "--trust", "--input-file", "in.csv"]) == 0
+            counts.append(len(read))
+        assert counts[0] == counts[1]  # before: 18 more
 
 
 def test_integer_that_a_series_cannot_hold_is_rejected():

@@ -9,9 +9,6 @@ Source  Dormand & Prince's method with the error estimators and the interpolant 
 import json
 from pathlib import Path
 
-STAGES = 12  # stages of a step; the slope at its end is the first stage of the next step
-EXTENDED = 16
-
 Row = tuple[tuple[int, float], ...]  # (stage, weight); other weights are 0
 
 _TABLE = json.loads(Path(__file__).with_name("dop853.json").read_text())

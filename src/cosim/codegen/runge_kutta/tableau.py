@@ -70,6 +70,9 @@ class Tableau:
         return h * _weighted(self.b, slopes)
 
 
+DIVERGED = 1e3  # times that long steps make a state too large: none of its digits is right
+
+
 def stability_function(tableau: Tableau) -> Polynomial:
     """Return R(z) of an explicit Runge-Kutta method."""
     n = len(tableau.b)

@@ -44,6 +44,19 @@ from cosim.model.troughs import MOST_TRIALS, Trough
 from cosim.trajectory import Event, Trajectory
 
 
+def _growth(run: Trajectory) -> str:
+    """Return which state has grown so that its start is less than its rounding; empty if none."""
+    for i, column in enumerate(run.columns):
+        sizes = np.abs(run.values[:, i])
+        most = sizes.max(initial=0.0)
+        if column.is_state and np.finfo(float).eps * most > max(sizes[0], column.nominal):
+            return (
+                f"{column.name} grows to {most:.1g}; if the model does not, the steps "
+                "inside the FMU are too long: compare with model exchange"
+            )
+    return ""
+
+
 class Master(StrEnum):
     """What drives an FMU."""
 
@@ -84,7 +97,7 @@ class OpenedFmu:
         found, lost = self._run(request, master)
         trials = MOST_TRIALS if isinstance(lost, Trough) else 1
         relative = request.relative_tolerance
-        text = ""
+        text = _growth(found) if self.interface is Interface.CO_SIMULATION else ""
         while lost and trials:
             trials -= 1
             last, closer = lost, lost.closer(relative, relative)

@@ -19,8 +19,9 @@ FRAMES_PER_SECOND = 30.0
 LARGEST_TURN = radians(60.0)  # of a body between two frames; beyond it wheels seem to run backward
 MOST_FRAMES = 6000
 # Of a playback, unless another speed is chosen
-MOST_TURNS = 6 * pi  # rad/s
-SHORTEST, LONGEST = 2.0, 60.0  # s
+MOST_TURNS = 6 * pi  # rad/s, in which eyes can follow a body
+SHORTEST, LONGEST = 2.0, 60.0  # s, to see what moves and to wait for the end
+LONGEST_OF_TURNS = 20.0  # s, before the speed is rounded: fast turns are worth no longer playback
 
 
 def playback(
@@ -86,8 +87,8 @@ def playback(
 def usual_speed(span: float, turn_rate: float) -> float:
     """Return a speed of playback that eyes can follow: 1, or another one of 1, 2, 5, 10 ...
 
-    A playback lasts at least 2 s and at most 60 s. In between, it is slower than the run if a body
-    turns fast.
+    A playback lasts 2 s to 60 s. It is slower than the run if a body turns more than three times a
+    second, but lasts 20 s then at most, before its speed is rounded down.
 
     Args:
         span: Length of the run, s.
@@ -96,7 +97,7 @@ def usual_speed(span: float, turn_rate: float) -> float:
     speeds = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
     if span > LONGEST:
         return min(speed for speed in speeds if speed * LONGEST >= span)
-    slow = max(MOST_TURNS / turn_rate, span / 20) if turn_rate > 0 else 1.0
+    slow = max(MOST_TURNS / turn_rate, span / LONGEST_OF_TURNS) if turn_rate > 0 else 1.0
     limit = min(1.0, slow, span / SHORTEST) or 1.0
     return max(speed for speed in speeds if speed <= limit * (1 + 1e-9))
 

@@ -67,7 +67,8 @@ def linearized_fmu(
                 unknowns, knowns = (*rates, *shown), (*states, *inputs)
                 jacobian = _jacobian(instance, unknowns, knowns)
                 noise = _noise(instance, rates, states, x, jacobian)
-                _reject_course(instance, description, jacobian[: len(states)], noise, knowns, rates)
+                square = jacobian[: len(rates), : len(states)]
+                _reject_course(instance, description, square, noise, states, rates)
             except FmuError:
                 raise
             except Exception as error:
@@ -126,22 +127,23 @@ def _reject_course(
     description: Any,
     here: Vector,
     noise: Vector,
-    knowns: Sequence[Any],
+    states: Sequence[Any],
     rates: Sequence[Any],
 ) -> None:
     """Raise FmuError if the rates depend otherwise on the states at later times.
 
     Args:
-        here: Their derivatives by states and inputs at the start.
-        noise: What rounding leaves open in those by states.
+        instance, description: The FMU.
+        here: Derivatives of the rates by the states at the start, (states, states).
+        noise: What rounding leaves open in them.
+        states, rates: fmpy's variables.
     """
     stop = getattr(description.defaultExperiment, "stopTime", None)
-    n = len(here)
     for share in LATER:
         time = share * float(stop or 1.0)
         instance.setTime(time)
-        change = np.abs(_jacobian(instance, rates, knowns[:n]) - here[:, :n])
-        if (change > noise + SAME * np.abs(here[:, :n]).max(initial=0.0)).any():
+        change = np.abs(_jacobian(instance, rates, states) - here)
+        if (change > noise + SAME * np.abs(here).max(initial=0.0)).any():
             raise FmuError(
                 f"{description.modelName}: the linear system at {time:.6g} s is another one than "
                 "at the start, so that no eigenvalues tell whether the motion is stable; linearize "
