@@ -142,7 +142,7 @@ def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
 
 def test_keys_work_after_a_click_on_a_button(tmp_path):
     run = cosim.simulate(spinning(4.0), stop_time=1.0, compiled=False)
-    path = animate(run, tmp_path / "x.html")
+    path = animate(run, tmp_path / "x.html", speed=1)
     code = """
         player.go(0.5);
         const button = document.getElementById("axes");
