@@ -30,9 +30,12 @@ from cosim.verify.reference import reference
 
 FIXED_STEP = [name for name, solver in SOLVERS.items() if not solver.adaptive]
 
+STAGES = 12  # of a step; the slope at its end is the first stage of the next step
+EXTENDED = 16  # with those of the dense output
+
 
 def matrix(rows):
-    table = np.zeros((len(rows), dop853.EXTENDED))
+    table = np.zeros((len(rows), EXTENDED))
     for row, weights in zip(table, rows, strict=True):
         for stage, weight in weights:
             row[stage - 1] = weight
@@ -44,16 +47,16 @@ A = matrix(dop853.A)
 
 def stage_weights(tree):
     inner = [A @ stage_weights(branch) for branch in tree]
-    return prod(inner, start=np.ones(dop853.EXTENDED))
+    return prod(inner, start=np.ones(EXTENDED))
 
 
 def interpolant(s):
     """Return the weights of the slopes at a fraction s of the step, from Hairer's nested form."""
-    first, end = np.eye(dop853.EXTENDED)[[0, dop853.STAGES]]
+    first, end = np.eye(EXTENDED)[[0, STAGES]]
     (change,) = matrix([dop853.B])
     bend = first - change
     rows = [change, bend, change - end - bend, *matrix(dop853.DENSE)]
-    total = np.zeros(dop853.EXTENDED)
+    total = np.zeros(EXTENDED)
     for j, row in reversed(list(enumerate(rows))):
         total = (s if j % 2 == 0 else 1 - s) * (row + total)
     return total
