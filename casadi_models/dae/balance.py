@@ -16,11 +16,11 @@ FAIR = 2.0**20  # sums of rows apart from their sizes that cost a solution six o
 def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     """Return the sizes of linear equations, (n, 1): the sums of their coefficients.
 
-    Each coefficient is multiplied by the size of its unknown, so that the sizes of forces beside
-    accelerations do not depend on units: a mechanism of micrometers keeps as many digits as one of
-    meters. Sizes of rows and columns whose product fits the coefficients best, in the logarithm,
-    give those of the unknowns; where one of the coefficients vanishes, all have size 1. Sums that
-    are fair at the usual parameters stay as they are there.
+    Each coefficient is multiplied by the size of its unknown, so that units do not count where
+    forces and accelerations share an equation: a mechanism of micrometers keeps as many digits as
+    one of meters. Sizes of rows and columns whose product fits the coefficients best, in the
+    logarithm, give those of the unknowns; where one of the coefficients vanishes, all have size 1.
+    Sums that are fair at the usual parameters stay as they are there.
 
     Args:
         matrix: Coefficients, (n, n), expressions of the parameters alone.
@@ -35,7 +35,8 @@ def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     sums = ca.sum2(terms)
     if terms.size1() > LARGEST:
         return sums
-    lasting = _lasting(terms, p, parameters)
+    usual = ca.DM([parameter.start or 0.0 for parameter in parameters])
+    lasting = _lasting(ca.Function("terms", [p], [terms]), usual, parameters)
     counted = terms * lasting + (1 - lasting)
     logs = ca.log(counted)
     # the sizes of the rows are eliminated from the normal equations of the fit
@@ -44,7 +45,6 @@ def row_sizes(matrix: SX, p: SX, parameters: Sequence[Variable]) -> SX:
     right = means.T @ ca.sum2(logs) - ca.sum1(logs).T
     unknowns = ca.exp(ca.inv(fit + _together(fit)) @ right)
     sizes = ca.if_else(ca.mmin(counted) > 0, terms @ unknowns, sums)
-    usual = ca.DM([parameter.start or 0.0 for parameter in parameters])
     ratio = ca.Function("ratio", [p], [sums / sizes])(usual)
     fair = ca.mmax(ratio) <= FAIR * ca.mmin(ratio)
     return sizes * ratio if fair else sizes
@@ -60,18 +60,18 @@ def _together(fit: ca.DM) -> ca.DM:
     return together
 
 
-def _lasting(terms: SX, p: SX, parameters: Sequence[Variable]) -> ca.DM:
-    """Return 1 where coefficients vanish neither at parameters of 0 nor at equal ones, or 0."""
-    usual = ca.DM([parameter.start or 0.0 for parameter in parameters])
-    lowest = [
-        0.0 if parameter.minimum <= 0 <= parameter.maximum else share * start
-        for parameter, share, start in zip(
-            parameters, irregular_place(usual.numel()).elements(), usual.elements(), strict=True
-        )
-    ]
-    values = ca.Function("terms", [p], [terms])
-    lasting = ca.DM.ones(*terms.shape)
-    for place in (usual, ca.DM(lowest), ca.DM.ones(usual.numel())):
-        found = values(place)
+def _lasting(terms: ca.Function, usual: ca.DM, parameters: Sequence[Variable]) -> ca.DM:
+    """Return 1 where coefficients vanish neither at parameters of 0 nor at equal ones, or 0.
+
+    Args:
+        terms: The coefficients as a function of the parameters.
+        usual: Usual values of these.
+        parameters: Their bounds.
+    """
+    never_0 = ca.DM([float(not v.minimum <= 0 <= v.maximum) for v in parameters])
+    lowest = usual * irregular_place(usual.numel()) * never_0
+    lasting = ca.DM.ones(*terms.size_out(0))
+    for place in (usual, lowest, ca.DM.ones(usual.numel())):
+        found = terms(place)
         lasting *= (found > 1e-12 * ca.mmax(found)) * (found < inf)
     return ca.densify(lasting)

@@ -196,6 +196,38 @@ static inline void copy_numbers(double **place, double *own, long long n, int in
     *place += n;
 }
 
+static inline void copy_count(double **place, long long *own, int in) {
+    double value = (double)*own;
+    copy_numbers(place, &value, 1, in);
+    *own = (long long)value;
+}
+
+static inline void copy_int(double **place, int *own, int in) {
+    long long count = *own;
+    copy_count(place, &count, in);
+    *own = (int)count;
+}
+
+enum { OWN_NUMBERS = 12 };
+
+static inline void copy_own_numbers(Coupling *self, double **place, int in) {
+    System *system = self->system;
+    double stop = system->stop;
+    copy_count(place, &self->known, in);
+    copy_int(place, &self->rateless, in);
+    copy_int(place, &self->agreed_at, in);
+    copy_count(place, &self->given_steps, in);
+    copy_int(place, &self->slow, in);
+    copy_count(place, &self->window.made, in);
+    copy_count(place, &self->window.rejected, in);
+    copy_numbers(place, &self->window.begin, 1, in);
+    copy_numbers(place, &self->most, 1, in);
+    copy_numbers(place, &self->h, 1, in);
+    copy_numbers(place, &system->start, 1, in);
+    copy_numbers(place, &stop, 1, in);
+    if (!system->ends) system->stop = stop;
+}
+
 /* Inputs that do not move, texts among them, have no other number than their outputs have now. */
 static inline int find_held(Coupling *self) {
     System *system = self->system;
@@ -209,22 +241,9 @@ static inline int find_held(Coupling *self) {
 SHARED long long numbers_of_coupled(System *system, double *place, int in) {
     Coupling *self = system->coupling;
     const long long m = system->inputs, parts = system->n_parts;
-    double own[] = {(double)self->known,
-                    (double)self->rateless,
-                    (double)self->agreed_at,
-                    (double)self->given_steps,
-                    (double)self->slow,
-                    (double)self->window.made,
-                    (double)self->window.rejected,
-                    self->window.begin,
-                    self->most,
-                    self->h,
-                    system->start,
-                    system->stop};
-    const long long n = sizeof own / sizeof *own;
-    const long long count = n + (2 * m + 1) * (1 + PAST) + m + 2 * parts;
+    const long long count = OWN_NUMBERS + (2 * m + 1) * (1 + PAST) + m + 2 * parts;
     if (!place) return count;
-    copy_numbers(&place, own, n, in);
+    copy_own_numbers(self, &place, in);
     for (int i = -1; i < PAST; ++i) {
         Interface *at = i < 0 ? &self->now : self->past + i;
         copy_numbers(&place, &at->t, 1, in);
@@ -234,23 +253,11 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
     copy_numbers(&place, system->scale, m, in);
     for (long long p = 0; p < parts; ++p) {
         Part *part = system->parts + p;
-        double violations = (double)part->violations;
         copy_numbers(&place, &part->next_event, 1, in);
-        copy_numbers(&place, &violations, 1, in);
-        part->violations = (long long)violations;
+        copy_count(&place, &part->violations, in);
         if (in) part->waits = 0;
     }
     if (!in) return count;
-    self->known = (long long)own[0];
-    self->rateless = own[1] != 0;
-    self->agreed_at = (int)own[2];
-    self->given_steps = (long long)own[3];
-    self->slow = own[4] != 0;
-    self->window = (Attempts){(long long)own[5], (long long)own[6], own[7]};
-    self->most = own[8];
-    self->h = own[9];
-    system->start = own[10];
-    if (!system->ends) system->stop = own[11];
     system->time = self->now.t;
     system->rows = 1;
     forget_event(self);

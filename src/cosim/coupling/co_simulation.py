@@ -187,9 +187,8 @@ class CoSimulation:
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
-        made = [self.parts[name].is_own for name, _ in self.wiring.sources]
-        held = self.wiring.held[: len(made)]
-        may_freeze = np.array([not any(one) for one in zip(made, held, strict=True)], bool)
+        own = np.array([self.parts[name].is_own for name, _ in self.wiring.sources], dtype=bool)
+        may_freeze = ~own & (self.wiring.held[:-1] == 0)
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:

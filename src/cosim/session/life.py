@@ -7,7 +7,8 @@ from typing import Any, NoReturn, Self
 from weakref import finalize
 
 from cosim.arrays import Vector
-from cosim.errors import FmuError
+from cosim.errors import FmuError, naming_arguments
+from cosim.model.values import number
 from cosim.session.clock import Clock
 from cosim.session.saved import unpicklable
 
@@ -73,6 +74,35 @@ class Life:
         value: float = self.get((name,))[0]
         return float(value)
 
+    @naming_arguments
+    def reset(
+        self,
+        start_values: Mapping[str, float | str] | None = None,
+        *,
+        start_time: float | None = None,
+    ) -> None:
+        """Begin again.
+
+        Args:
+            start_values: Values by name that replace those of `cosim.open` for this time.
+            start_time: s; that of `cosim.open` when None.
+
+        Raises:
+            UnknownName, UsageError, ParameterError, InitialConditionError: A name or a value does
+                not fit; the session stays as it was.
+            FmuError: The initialization failed, or the session is closed.
+        """
+        self._reject_closed()
+        given: Any = {} if start_values is None else start_values
+        if isinstance(given, Mapping):  # those of `cosim.open` hold for all other names
+            given = {**self._start_values, **given}
+        start = None if start_time is None else number(self.name, "start_time", start_time)
+        self._begin_at(given, start)
+
+    def _begin_at(self, given: Mapping[str, Any], start: float | None = None) -> None:
+        """Begin with values by name at a time, s; at that of `cosim.open` when None."""
+        raise NotImplementedError
+
     def get(self, names: Sequence[str] | None = None) -> Vector:
         """Return values, (n,)."""
         raise NotImplementedError
@@ -86,11 +116,6 @@ class Life:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self.copy()
-
-    def _with_own(self, start_values: Mapping[str, Any] | None) -> Any:
-        """Return start values of a reset; those of `cosim.open` hold for all other names."""
-        given = {} if start_values is None else start_values
-        return {**self._start_values, **given} if isinstance(given, Mapping) else given
 
     def _reject_copy(self, abilities: Iterable[Any], *, serializes: bool) -> None:
         """Reject a copy of a session that does not run, or whose FMUs do not allow it.

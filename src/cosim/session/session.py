@@ -15,7 +15,7 @@ from cosim.errors import FmuError, UsageError, naming_arguments
 from cosim.fmi.run.instance import by_name, initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
-from cosim.model.values import number, plain_values
+from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
@@ -72,12 +72,15 @@ class Session(Life):
         if self._serializes:
             self._owner = hashlib.sha256(facts.encode()).digest()[:16]
         self._used = False
-        self._begin(self._start_values, experiment)
+        self._begin_at(self._start_values)
 
     # -- life ---------------------------------------------------------------------------------
 
-    def _begin(self, given: Mapping[str, Any], experiment: Experiment) -> None:
+    def _begin_at(self, given: Mapping[str, Any], start: float | None = None) -> None:
         """Take a fresh or reset instance through its initialization."""
+        experiment = self._experiment
+        if start is not None:
+            experiment = experiment._replace(startTime=start)
         restart = self._restarts.get(tuple(given)) if self._used else None
         if restart is not None and not restart.accepts(given):
             restart = None
@@ -127,31 +130,6 @@ class Session(Life):
             bounds = {name: (plain[name].minimum, plain[name].maximum) for name in given}
             variables = [self._variables[name] for name in given]
             self._restarts[tuple(given)] = Restart(self._calls, variables, bounds)
-
-    @naming_arguments
-    def reset(
-        self,
-        start_values: Mapping[str, float | str] | None = None,
-        *,
-        start_time: float | None = None,
-    ) -> None:
-        """Begin again.
-
-        Args:
-            start_values: Values by name that replace those of `cosim.open` for this time.
-            start_time: s; that of `cosim.open` when None.
-
-        Raises:
-            UnknownName, UsageError, ParameterError, InitialConditionError: A name or a value does
-                not fit; the session stays as it was.
-            FmuError: The initialization failed, or the session is closed.
-        """
-        self._reject_closed()
-        experiment = self._experiment
-        if start_time is not None:
-            start = number(self.name, "start_time", start_time)
-            experiment = experiment._replace(startTime=start)
-        self._begin(self._with_own(start_values), experiment)
 
     def copy(self) -> "Session":
         """Return another session of the model in the present state.

@@ -22,12 +22,12 @@ from cosim.coupling.own_steps import is_multiple
 from cosim.coupling.settings import Settings
 from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
-from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments
+from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.instance import access_to, by_name, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
-from cosim.model.values import listed, number
+from cosim.model.values import listed
 from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
@@ -85,7 +85,7 @@ class SystemSession(Life):
         self.inputs = (*outside, *left)
         shown = [c.name for c in self._connectors.values() if c.shows]
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
-        self._begin(self.checked(self._start_values), settings)
+        self._begin_at(self._start_values)
 
     def _identity(self) -> bytes:
         """Return what tells the session from those whose states it cannot take."""
@@ -98,7 +98,11 @@ class SystemSession(Life):
 
     # -- life ---------------------------------------------------------------------------------
 
-    def _begin(self, values: Mapping[str, Mapping[str, float]], settings: Settings) -> None:
+    def _begin_at(self, given: Mapping[str, Any], start: float | None = None) -> None:
+        values, settings = self.checked(given), self._settings
+        if start is not None:
+            stop = settings.stop if self._ends else settings.stop - settings.start + start
+            settings = replace(settings, start=start, stop=stop)
         self._phase = Phase.FAILED
         self._begun.close()
         vars(self).pop("_states", None)
@@ -116,22 +120,6 @@ class SystemSession(Life):
     def checked(self, values: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Return start values by part and variable, checked."""
         return self._system.values_of_parts(values)
-
-    @naming_arguments
-    def reset(
-        self,
-        start_values: Mapping[str, float | str] | None = None,
-        *,
-        start_time: float | None = None,
-    ) -> None:
-        """Begin again; see `Session.reset`."""
-        self._reject_closed()
-        settings = self._settings
-        if start_time is not None:
-            start = number(self.name, "start_time", start_time)
-            stop = settings.stop if self._ends else settings.stop - settings.start + start
-            settings = replace(settings, start=start, stop=stop)
-        self._begin(self.checked(self._with_own(start_values)), settings)
 
     def copy(self) -> "SystemSession":
         """Return another session in the present state; see `Session.copy`.

@@ -24,7 +24,6 @@ from cosim.fmi.run.typed_values import (
     series_value,
     start_number,
     typed_value,
-    value_of_text,
 )
 from cosim.fmi.units import display_of
 from cosim.model.driving import followed, with_held
@@ -148,7 +147,7 @@ class FmuRequest:
             return dict(self.values)
         at_start = series.at(np.array([self.start]))[:, 0].tolist()
         first = zip(self.followers, at_start, strict=True)
-        return {**self.values, **{v.name: value_of_text(v.name, v, value) for v, value in first}}
+        return {**self.values, **{v.name: typed_value(v.name, v, value) for v, value in first}}
 
     @property
     def relative_tolerance(self) -> float:
