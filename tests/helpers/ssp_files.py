@@ -138,3 +138,8 @@ def package(path: Path, fmus, ssd, **entries):
             stem, _, ending = name.replace("__", "/").rpartition("_")
             archive.writestr(f"{stem}.{ending}", content)
     return path
+
+
+def ends(found):
+    """Return what drives each input of a system, with factor and offset."""
+    return {".".join(w.input): (".".join(w.output), w.factor, w.offset) for w in found.connections}
