@@ -78,7 +78,7 @@ def deepest_trough(
     rests = _Rests(path)
     alone = np.zeros(len(shares), dtype=bool)
     doubtful = (levels > 0) & (levels < (absolute * shares / relative)[:, None])
-    for i in np.flatnonzero(doubtful.any(axis=1)):  # others are 0 or never low
+    for i in np.flatnonzero(doubtful.any(axis=1)).tolist():  # others are 0 or never low
         alone[i] = rests.of(np.arange(len(shares)) == i)[i]
     # of states that vanish only together, half of the digits may be lost at first
     limits = np.where(alone | (shares < 1), relative, np.sqrt(relative))
