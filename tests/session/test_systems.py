@@ -68,9 +68,12 @@ SYSTEMS = {
     "foreign state": lambda files: lags(files, "keeper", wires={"load.u": "motor.y"}),
     "events": lambda files: balls(files, "ball"),
     "exchange": lambda files: balls(files, "exchange"),
+    "exchange, driven": lambda files: cosim.couple(
+        {"lag": files["lag"], "ball": files["exchange"]}, {"ball.wind": "lag.y"}, stop_time=1.0
+    ),
     "stateless": lambda files: balls(files, "stateless"),
 }
-SERIALIZED = ("loop", "chain", "events")
+SERIALIZED = ("loop", "chain", "events", "exchange", "exchange, driven")
 
 
 # -- bits -----------------------------------------------------------------------------------------

@@ -107,6 +107,7 @@ class OpenedPart:
         order = int(getattr(abilities, "maxOutputDerivativeOrder", None) or 0)
         derivatives = order >= 1 and all(v.causality == "output" for v in self.moving_outputs)
         self.rates = (derivatives or exchange) and Ability.RATES not in unused
+        self.abilities = abilities
         self.saves = bool(abilities.canGetAndSetFMUstate)
         # what a part for model exchange changes at events only is the same within a step
         goes_back = self.saves or (exchange and not abilities.needsCompletedIntegratorStep)

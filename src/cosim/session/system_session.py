@@ -129,7 +129,7 @@ class SystemSession(Life):
         """
         self._require()
         parts = self._instances.parts
-        abilities = (part.description.coSimulation for part in parts.values())
+        abilities = (part.abilities for part in parts.values())
         self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
