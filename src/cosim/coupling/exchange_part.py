@@ -86,8 +86,8 @@ class ExchangeSolver:
     def go_on_with(self, numbers: bytes) -> bool:
         """Set these; return whether the FMU accepts its time and its states."""
         own = np.frombuffer(numbers).copy()
-        place = own.ctypes.data
-        return self._library.numbers_of_model(ctypes.byref(self.functions), place, 1) == len(own)
+        functions = ctypes.byref(self.functions)
+        return int(self._library.numbers_of_model(functions, own.ctypes.data, 1)) == len(own)
 
     def close(self) -> None:
         """Free the solver."""

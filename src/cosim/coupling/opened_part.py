@@ -100,14 +100,13 @@ class OpenedPart:
         self.solver: ExchangeSolver | None = None  # of a part for model exchange, while it runs
         self._callback = 0  # of it
         known, exchange = by_name(fmu.description), fmu.interface is Interface.MODEL_EXCHANGE
-        abilities = fmu.description.modelExchange if exchange else fmu.description.coSimulation
+        self.abilities = abilities = _abilities(fmu.description, exchange=exchange)
         self.moving_inputs, self.inputs = _in_order([known[n] for n in inputs], is_continuous)
         self.moving_outputs, self.outputs = _in_order([known[n] for n in outputs])
         all_move = self.inputs == self.moving_inputs and self.outputs == self.moving_outputs
         order = int(getattr(abilities, "maxOutputDerivativeOrder", None) or 0)
         derivatives = order >= 1 and all(v.causality == "output" for v in self.moving_outputs)
         self.rates = (derivatives or exchange) and Ability.RATES not in unused
-        self.abilities = abilities
         self.saves = bool(abilities.canGetAndSetFMUstate)
         # what a part for model exchange changes at events only is the same within a step
         goes_back = self.saves or (exchange and not abilities.needsCompletedIntegratorStep)
@@ -223,6 +222,10 @@ class OpenedPart:
                 names = {variable.name for variable in unknown.dependencies}
                 row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
+
+
+def _abilities(description: Any, *, exchange: bool) -> Any:
+    return description.modelExchange if exchange else description.coSimulation
 
 
 def _exchanges(fmu: OpenedFmu) -> bool:
