@@ -19,7 +19,7 @@ from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
-from cosim.session.linearizer import Linearizer, LinearSystem
+from cosim.session.linearizer import Linearizer, LinearSystem, with_present_sides
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
 from cosim.session.saved import damaged, packed, unpacked
@@ -312,6 +312,7 @@ class Session(Life):
             UnknownName: An output does not exist.
             UsageError: The model has samples, an input is no real number.
             FmuError: The FMU has no directional derivatives, or they have no value here.
+            InitialConditionError: A derivative of a model is another one on each side of the state.
         """
         self._require()
         key = tuple(outputs) if isinstance(outputs, list) else outputs
@@ -323,7 +324,11 @@ class Session(Life):
             )
             self._linearizers[found.outputs if key is not None else None] = found
         self._check(found.evaluate(), "GetDirectionalDerivative")
-        return found.system()
+        linear = found.system()
+        if self._dae is None:
+            return linear
+        columns = {"states": self.states, "inputs": self.inputs}
+        return with_present_sides(self._dae, linear, found.outputs, self.time, self.get, **columns)
 
     def _reject_samples(self) -> None:
         if self._dae is not None and any(event.sampled for event in self._dae.events):
