@@ -289,10 +289,10 @@ def test_state_from_before_a_reset_to_another_time_goes_on_with_the_same_bits(wa
 
 def test_state_that_a_part_rejects_is_an_error(files):
     with cosim.open(balls(files, "ball")) as session:
-        owner, clock, place, content = unpacked("balls", session.save(), has_sum=False)
+        owner, clock, place, notes, content = unpacked("balls", session.save(), has_sum=False)
         damaged = bytearray(content)
         damaged[-100] ^= 1
-        saved = packed(owner, clock, place, bytes(damaged), has_sum=False)
+        saved = packed(owner, clock, place, notes, bytes(damaged), has_sum=False)
         with pytest.raises(FmuError, match=r"part 'ball': .*rejects the saved state"):
             session.restore(saved)
         session.reset()
@@ -317,6 +317,23 @@ def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
             (event,), (same,) = session.advance(to=0.6), other.advance(to=0.6)
             assert (event.name, event.time) == (same.name, same.time)
             assert event.name == "a: above"
+
+
+@EVERY_WAY
+def test_state_of_another_begin_brings_no_event_of_this_one(way, files):
+    """Samples are at 0.05, 0.18, ...; a session that begins at 0.05 has the first one there."""
+    with cosim.open(balls(files, "ball"), **way) as session:
+        before = [session.advance(to=0.03), session.advance(to=0.05)]
+        assert list(map(len, before)) == [0, 1]
+        saved = session.save()
+        session.reset(start_time=0.05)
+        begin = session.save()
+        session.restore(saved)
+        assert session.advance(to=0.06) == ()  # before: the sample of the other begin
+        session.reset()
+        session.restore(begin)
+        (sample,) = session.advance(to=0.06)  # before: none
+        assert (sample.name, sample.time) == ("ball: control", 0.05)
 
 
 def test_part_that_ends_the_run_is_named_with_the_time(files):
