@@ -205,6 +205,8 @@ class Session(Life):
     ) -> None:
         """Set inputs, or parameters that may change during a run.
 
+        What they switch, such as a limit in an output, is switched by the next step.
+
         Args:
             values: Values by name, or of all `inputs` in their order, (n,).
             named: Numbers, or texts with a unit, by name.
