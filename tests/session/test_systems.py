@@ -462,6 +462,15 @@ def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
         cosim.open(toml, macro_step=STEP)
 
 
+def test_file_for_model_exchange_only_is_opened_as_a_part(files):
+    with pytest.raises(FmuError, match="model exchange only") as caught:
+        cosim.open(files["exchange"])
+    call = str(caught.value).partition(": cosim.open")[2]
+    with eval(f"cosim.open{call}", {"cosim": cosim}) as session:
+        (sample,) = session.advance(to=0.1)
+        assert sample.time == pytest.approx(0.05, abs=1e-12)
+
+
 def test_copies_of_a_system_are_advanced_together(files):
     system = lags(files, wires={"load.u": "motor.y"})
     with cosim.open(system, copies=3, start_values={"motor.u": [1.0, 2.0, 3.0]}) as copies:
