@@ -17,7 +17,6 @@ from cosim.fmi.run.instance import (
     initialize,
     instantiated,
     read_description,
-    update_discrete_states,
 )
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.fmi.run.typed_values import is_number
@@ -33,6 +32,7 @@ from cosim.study.linearize.local import (
 
 POINT = "the initial state of an FMU"
 BESIDE = 1e-9  # distance of states on both sides of another one, in their sizes
+NEARER = 0.01  # share of it, at which a jump is as large
 LATER = (0.0271828, 0.314159)  # times of a run, of its span, that fit to no period
 
 
@@ -193,18 +193,18 @@ def _reject_corner(
         for v in reals:
             instance.setFloat64([v.valueReference], [values[v.name]])
 
-    generator = np.random.default_rng(0)
-    directions = generator.uniform(-1, 1, (TRIALS, len(x)))
-    for place in (x + side * shift * d for d in directions for side in (1, -1)):
+    def change(place: Vector) -> Vector:
         move(place)
         instance.enterEventMode()
-        ends, _ = update_discrete_states(instance)
-        if ends:
-            return
-        instance.enterContinuousTimeMode()
+        enter_continuous_time(instance)
         move(place)  # an event may have changed it
-        change = np.abs(_jacobian(instance, unknowns, knowns) - here) * scale
-        for i, j in np.argwhere(~(change <= least[:, None]))[:1]:
+        return np.abs(_jacobian(instance, unknowns, knowns) - here) * scale
+
+    directions = np.random.default_rng(0).uniform(-1, 1, (TRIALS, len(x)))
+    for way in (side * shift * d for d in directions for side in (1, -1)):
+        far, near = (change(x + share * way) for share in (1.0, NEARER))
+        jumps = ~(near <= np.fmax(least[:, None], far / 2))  # what is smooth becomes less
+        for i, j in np.argwhere(jumps)[:1]:
             raise FmuError(
                 f"{description.modelName}: {unknowns[i].name} has another derivative with respect "
                 f"to {knowns[j].name} beside {POINT}, so that there is no linear system; choose "
