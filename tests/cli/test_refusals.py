@@ -200,6 +200,7 @@ def test_other_verbs_reject_invalid_numbers(line, refused):
         ("simulate bicycle -p fz_P=1", "'fz_P' is a result of the model and cannot be set"),
         ("simulate bicycle --start-values phi_dott 1", "did you mean phi_dot"),
         ("simulate bicycle --solver CVODES", "no solver 'CVODES'; did you mean cvodes"),
+        ("export crank_shaft --solver cvodes", "FMU has no solver 'cvodes'; choose one of dop853"),
         ("simulate bicycle --solver=", "no solver ''; it has cvodes"),
         ("simulate bicycle --on-invalid explode", "'explode'; it has warn, stop, ignore"),
         ("simulate bicycle --drift-control projektion", "did you mean projection"),
