@@ -386,6 +386,26 @@ def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
     assert scale_of([replace(played, loads=(peaked,)), ghost], None).per_unit == scale.per_unit
 
 
+def scaled_load(run, sizes):
+    """Return a scene with one load of given sizes over time, and its scale."""
+    played = playback(run, run.drawing)
+    load = replace(played.loads[0], vector=np.outer(sizes(len(played.time)), [1.0, 0.0, 0.0]))
+    return load, scale_of([replace(played, loads=(load,))], None)
+
+
+def test_arrow_of_a_peak_takes_no_more_of_the_picture_than_others(run):
+    _, steady = scaled_load(run, np.ones)
+    _, peaked = scaled_load(run, lambda n: np.where(np.arange(n) == 2, 1e6, 1.0))
+    assert 0.5 * steady.size < peaked.size <= steady.size  # its own length, without a bound: 344 m
+
+
+def test_arrow_of_a_load_that_fades_fades(run):
+    load, scale = scaled_load(run, lambda n: np.logspace(0, -8, n))
+    lengths = [np.linalg.norm(np.subtract(*scale.arrow(load, k))) for k in (0, -1)]
+    assert lengths[0] == pytest.approx(0.5 * scale.pose, rel=1e-12)
+    assert lengths[1] < 1e-6 * scale.pose  # rounding would look like a load
+
+
 def test_ghosts_move_with_the_first_run_if_the_camera_follows():
     played = poses_of([{"thetaR_dot": -12.0}, {"thetaR_dot": -16.0}], None, stop_time=4.0)
     apart = played[0].followed()[-1] - played[1].followed()[-1]
