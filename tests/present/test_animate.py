@@ -15,6 +15,7 @@ from helpers.scenes import spinning
 from PIL import Image
 
 import cosim
+from cosim.coupling.files import read_system
 from cosim.drawing.camera import View, scale_of
 from cosim.drawing.meshes import arrow, joined, mesh_of
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
@@ -384,6 +385,14 @@ def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
     assert scale_of([replace(played, loads=(rest,))], None).per_unit["N"] == 0.0
     ghost = replace(played, loads=())  # of a run that did not record the loads
     assert scale_of([replace(played, loads=(peaked,)), ghost], None).per_unit == scale.per_unit
+
+
+def test_input_does_not_hide_the_curve_that_it_is_connected_to(tmp_path):
+    run = cosim.simulate(read_system("examples/coupled/quarter_car.toml").dae, compiled=False)
+    data = facts_of(animate(run, tmp_path / "x.html").read_text("utf-8"))
+    chosen = [data["columns"][k]["name"] for k in data["chosen"]]
+    assert chosen[:2] == ["wheel.x", "chassis.x"]
+    assert "chassis.x_wheel" not in chosen
 
 
 def scaled_load(run, sizes):
