@@ -135,6 +135,15 @@ def test_nonsense_is_refused_in_one_sentence(arguments, error, reason, fmus):
         cosim.simulate_fmu(fmus["decay", 2], **arguments)
 
 
+def test_version_that_is_not_read_is_told(fmus, tmp_path):
+    edit = set_attributes(".", fmiVersion="1.0")
+    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", edit)
+    with pytest.raises(
+        FmuError, match=r"x\.fmu: .*fmiVersion is '1\.0'; 2\.0 and 3\.0 can be read"
+    ):
+        cosim.info(path)
+
+
 def test_interface_that_the_fmu_lacks_is_told(fmus, tmp_path):
     path = with_description(fmus["decay", 2], tmp_path / "x.fmu", remove(".", "CoSimulation"))
     assert cosim.simulate_fmu(path).stats["solver"] == "fmpy ModelExchange"
@@ -148,6 +157,20 @@ def test_library_is_looked_for_in_its_own_folder_only(identifier, fmus, tmp_path
     path = with_description(fmus["decay", 2], tmp_path / "x.fmu", edit)
     with pytest.raises(SecurityError, match="is no C name"):
         cosim.simulate_fmu(path)
+
+
+@VERSIONS
+def test_library_may_have_a_name_with_dashes(fmi, fmus, tmp_path):
+    name, content = library(fmus["decay", fmi])
+    renamed = {name: None, name.replace("decay", "decay-1.0"): content}
+    path = rewritten(fmus["decay", fmi], tmp_path / "x.fmu", renamed)
+    with pytest.raises(
+        FmuError, match=r"'decay' stands for decay\.\w+, but .* is decay-1\.0\.\w+;"
+    ):
+        cosim.simulate_fmu(path)
+    edit = set_attributes("CoSimulation", modelIdentifier="decay-1.0")
+    run = cosim.simulate_fmu(with_description(path, tmp_path / "y.fmu", edit), stop_time=1.0)
+    assert run.final["x"] == pytest.approx(np.exp(-0.5), rel=1e-7)
 
 
 @VERSIONS

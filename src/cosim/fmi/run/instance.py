@@ -31,6 +31,7 @@ class Interface(StrEnum):
 
 INTERFACES = tuple(Interface)
 _MOST_LETTERS = 200  # of a library's name; file systems take 255
+_FILE_NAME = re.compile(r"\w[\w.-]*", re.ASCII)  # more than a C name: dashes are common
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words
 _FEWER_STEPS = (
@@ -243,14 +244,20 @@ def choose_interface(
 def _find_library(folder: Path, description: Any, identifier: str, name: object) -> None:
     import fmpy
 
-    if not (identifier.isascii() and identifier.isidentifier()):
+    if not _FILE_NAME.fullmatch(identifier):
         shown = sentence(identifier)
         raise SecurityError(f"{name}: modelIdentifier '{shown}' is no C name; do not use it")
     if len(identifier) > _MOST_LETTERS:
         raise FmuError(f"{name}: its modelIdentifier has {len(identifier)} letters; do not use it")
     own = fmpy.platform if is_second(description) else fmpy.platform_tuple
-    if (folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}").is_file():
+    library = folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}"
+    if library.is_file():
         return
+    if present := sorted(path.name for path in library.parent.glob(f"*{library.suffix}")):
+        raise FmuError(
+            f"{name}: modelIdentifier '{identifier}' stands for {library.name}, but the library in "
+            f"binaries/{own} is {', '.join(present)}; give them the same name"
+        )
     others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
     has = f"only for {', '.join(others)}" if others else "for no platform"
     if str(description.generationTool).startswith("cosim"):
