@@ -15,7 +15,7 @@ from cosim.coupling.own_steps import OwnSteps
 from cosim.coupling.settings import Method, Settings
 from cosim.coupling.wiring import Wiring
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.typed_values import start_number
 
 _Result = TypeVar("_Result")

@@ -13,13 +13,8 @@ from cosim.coupling.exchange_part import ExchangeSolver
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
 from cosim.fmi.run.c_structures import Calls, Functions, Recorded
-from cosim.fmi.run.instance import (
-    Interface,
-    asks_for_inputs,
-    begin_initialization,
-    by_name,
-    is_second,
-)
+from cosim.fmi.run.description import Interface, asks_for_inputs, by_name, is_second
+from cosim.fmi.run.instance import begin_initialization
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.run.request import lost_state
 from cosim.fmi.run.typed_values import REALS, is_continuous

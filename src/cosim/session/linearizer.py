@@ -7,7 +7,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.request import output_names
 from cosim.model.values import listed
 from cosim.session.calls import Jacobians, PreparedCalls

@@ -22,16 +22,13 @@ from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
+from cosim.fmi.run.description import Interface, asks_for_inputs, choose_interface, read_description
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
-    Interface,
-    asks_for_inputs,
-    choose_interface,
     enter_continuous_time,
     initialize,
     instantiated,
     invalidity,
-    read_description,
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python

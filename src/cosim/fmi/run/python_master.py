@@ -19,9 +19,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.fmi.run.description import Interface
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
-    Interface,
     access_to,
     enter_continuous_time,
     initialize,
