@@ -127,7 +127,9 @@ class OpenedFmu:
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
-            _reject_not_finite(found, request, lost_state(instance, self.description)())
+            lost = lost_state(instance, self.description)()
+            instance.terminate()  # after which some FMUs have no values
+            _reject_not_finite(found, request, lost)
         except BaseException as error:
             self._drop()  # its state is unknown
             if isinstance(error, Exception) and not isinstance(error, MissingTool):
@@ -236,7 +238,7 @@ class CompiledMaster:
         self._calls = Calls(instance, description)
 
     def run(self, request: FmuRequest) -> MasterRun:
-        """Initialize the FMU and run it.
+        """Initialize the FMU and run it; it is not terminated yet.
 
         Raises:
             FmuError: A call failed, or the FMU stopped without ending the run.
@@ -279,7 +281,6 @@ class CompiledMaster:
                 deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
             deviations.note(run.time)
             deviations.judge(run.steps)
-        instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
         if run.how == Ending.ENDED_BY_FMU:

@@ -210,6 +210,7 @@ class Bench:
             if watch:
                 watch(instance)
             found = run_in_python(instance, request)
+            instance.terminate()
         return found.times, found.rows
 
     @property
