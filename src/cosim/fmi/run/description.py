@@ -62,9 +62,13 @@ def read_description(folder: Path, name: object) -> Any:
     from fmpy.model_description import VariableAlias, read_model_description
 
     try:
-        description = read_model_description(str(folder), validate=False)
         root = ET.parse(folder / DESCRIPTION).getroot()
+        if root.find("ModelVariables") is None:
+            raise FmuError(f"{name}: {DESCRIPTION} has no ModelVariables; there is nothing to run")
+        description = read_model_description(str(folder), validate=False)
         names = flat_names(root)
+    except FmuError:
+        raise
     except Exception as error:
         reason = described(error)
         raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
@@ -167,7 +171,7 @@ def _find_library(folder: Path, description: Any, identifier: str, name: object)
             f"{name}: modelIdentifier '{identifier}' stands for {library.name}, but the library in "
             f"binaries/{own} is {', '.join(present)}; give them the same name"
         )
-    others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
+    others = sorted({path.parent.name for path in (folder / "binaries").glob("*/*.*")})
     has = f"only for {', '.join(others)}" if others else "for no platform"
     if str(description.generationTool).startswith("cosim"):
         remedy = "export it with --platform"

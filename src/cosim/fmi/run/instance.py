@@ -1,6 +1,7 @@
 """fmpy's instance of an unpacked FMU: created, initialized, and with errors that say why."""
 
 import ctypes
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -156,7 +157,7 @@ def instantiated(
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
             advice.append(_CLOSER)
         reasons = dict.fromkeys(map(sentence, (reason, *violations[:1], *last, *advice)))
-        return FmuError(f"{name}: {'; '.join(reasons)}")
+        return FmuError(f"{name}: {'; '.join(reasons)}".replace(f"{folder}{os.sep}", ""))
 
     key = next(_KEYS)
     with ExitStack() as afterwards:
