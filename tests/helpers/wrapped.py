@@ -39,6 +39,8 @@ SIGNATURES = {
     "fmi2Boolean *terminate",
     "fmi2NewDiscreteStates": "fmi2Component c, fmi2EventInfo *info",
     "fmi2GetEventIndicators": "fmi2Component c, fmi2Real z[], size_t n",
+    "fmi2EnterEventMode": "fmi2Component c",
+    "fmi2EnterContinuousTimeMode": "fmi2Component c",
     "fmi2Terminate": "fmi2Component c",
     "fmi2Reset": "fmi2Component c",
     "fmi2SerializeFMUstate": "fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size",

@@ -217,6 +217,7 @@ class OpenSystem:
             place.recording = ctypes.pointer(part.calls.recording(variables, rows.tables[name]))
             place.given = ctypes.pointer(part.given.structure)
             place.shown = ctypes.pointer(part.shown.structure)
+            place.steady = ctypes.pointer(part.steady.structure)
             place.moving_inputs, place.moving_outputs = map(len, moving)
             place.turn = wiring.turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)
