@@ -161,13 +161,18 @@ def reset(bench: Bench, kind: str) -> Iterator[Finding]:
 
 
 def instances(bench: Bench, kind: str) -> Iterator[Finding]:
-    """A second instance, elsewhere in time, does not change the first one."""
+    """A second instance, with other values and elsewhere in time, does not change the first one."""
     if bench.offers(kind, "canBeInstantiatedOnlyOncePerProcess"):
         raise Skipped("it can be instantiated once per process only")
     with bench.session(kind) as one:
         alone = few_numbers(one)
     with bench.session(kind) as one, bench.session(kind) as other:
-        other.start()
+        try:
+            _put_other_settings(other)
+            other.start()
+        except Exception:  # it rejects them; then no call but a reset is allowed
+            other.instance.reset()
+            other.start()
         together = few_numbers(one, other)
     yield from _same(
         TRIAL_RULES["instances"], one, alone, together, "a second instance changes the first"
