@@ -20,6 +20,7 @@ SIGNATURES = {
     "fmi2DoStep": "fmi2Component c, fmi2Real point, fmi2Real size, fmi2Boolean keep",
     "fmi2SetFMUstate": "fmi2Component c, fmi2FMUstate state",
     "fmi2GetFMUstate": "fmi2Component c, fmi2FMUstate *state",
+    "fmi2FreeFMUstate": "fmi2Component c, fmi2FMUstate *state",
     "fmi2SetupExperiment": "fmi2Component c, fmi2Boolean hasTol, fmi2Real tolerance, "
     "fmi2Real start, fmi2Boolean hasStop, fmi2Real end",
     "fmi2EnterInitializationMode": "fmi2Component c",
