@@ -10,7 +10,8 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.fmi.run.c_structures import c_type
-from cosim.fmi.run.instance import getter_name, is_second
+from cosim.fmi.run.description import is_second
+from cosim.fmi.run.instance import getter_name
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
 _LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status

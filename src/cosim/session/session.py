@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
-from cosim.fmi.run.instance import by_name, initialize, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values

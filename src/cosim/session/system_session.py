@@ -24,7 +24,8 @@ from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import access_to, by_name, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import access_to, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed
