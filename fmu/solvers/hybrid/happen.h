@@ -139,8 +139,8 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
              * the known rate has been moved there, and its value decides */
             const double past = past_boundary(laws, s, &seen, i);
             const bool beyond = is_beyond(relation->floor, modes[i], past);
-            const bool moved = laws->blind && relation->of_input && beyond &&
-                               rates[i] >= -ROUNDING * seen.sizes[i];
+            const bool moved =
+                laws->blind && relation->moved && beyond && rates[i] >= -ROUNDING * seen.sizes[i];
             zero[i] = (i == crossing || crossed) && !moved;
             rests[i] = i != crossing && !(rates[i] < 0);
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
