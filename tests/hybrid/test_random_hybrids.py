@@ -52,6 +52,11 @@ def test_random_models_take_their_exact_courses(family, engine):
     assert_courses(family, engine, FEW)
 
 
+@pytest.mark.parametrize("engine", ["fmu2 cs c", "fmu3 cs c"])
+def test_a_release_that_the_rounding_of_time_hides_from_a_step_is_found(engine):
+    assert_courses("contacts", engine, [5051])
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("family", FAMILIES)

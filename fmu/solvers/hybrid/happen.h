@@ -8,7 +8,8 @@
 
 #include "settle.h"
 
-static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period */
+static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period; ...
+                                         ... below, a new value is 0, as a mode of what slides is */
 static const double CLOSE = 1e-10;    /* distance of events, relative to 1 s or the run, or ... */
 static const double FEW_ULPS = 4096;  /* ... roundings of the time, of which ... */
 enum { MOST_CLOSE = 10 };             /* ... so many in succession are no motion, as are ... */
@@ -172,7 +173,7 @@ static inline Ending new_values(const Laws *laws, const Decision *at, const bool
         const Rule *rule = &laws->rules[i];
         for (int k = rule->first; risen[i] && k < rule->first + rule->count; k++) {
             const int state = laws->assigned[k];
-            const double value = at->values[k];
+            const double found = at->values[k], value = fabs(found) < TINY ? 0 : found;
             if (!isfinite(value)) return (Ending){NOT_FINITE_ASSIGNED, i, -1, state, value};
             if (by[state] < 0)
                 assigned[state] = value;
