@@ -19,6 +19,7 @@ from cosim.coupling.estimate import (
     changes,
     estimated_error,
     frozen_motion,
+    noise_by_restarts,
     reject_noise,
     rounding_of,
 )
@@ -191,6 +192,9 @@ class CoSimulation:
         may_freeze = ~own & (self.wiring.held[:-1] == 0)
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
+        span, noise = settings.stop - settings.start, 0.0
+        if fixed:
+            noise = noise_by_restarts(partial(self._in_few_steps, task), span, may_freeze) / 2
         while True:
             of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
             try:
@@ -211,15 +215,16 @@ class CoSimulation:
             if last is not None:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
-                reject_noise(run, fixed, accuracy, before, most)
+                of_noise = noise * run.stats["macro_steps"]
+                reject_noise(run, fixed, accuracy, before, most, of_noise)
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
-                estimate += rounding
+                estimate += rounding + of_noise
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
-                    left, few = accuracy - estimate, partial(self._in_few_steps, task)
+                    left, few = accuracy - estimate, partial(self._in_few_steps, task, span)
                     still = frozen_motion(run, self.wiring.sources, ranges, may_freeze, few, left)
                     return replace(run, stats={**run.stats, "error_estimate": estimate + still})
                 if before or not fixed:
@@ -238,10 +243,11 @@ class CoSimulation:
             partial=run,
         )
 
-    def _in_few_steps(self, task: _Task, steps: int) -> Ranges:
-        """Return the ranges of the inputs in a run of a few steps with constant inputs."""
-        length = (task.settings.stop - task.settings.start) / steps
+    def _in_few_steps(self, task: _Task, span: float, steps: int) -> Ranges:
+        """Return the ranges of the inputs in a few steps from the start with constant inputs."""
+        length, stop = span / steps, task.settings.start + span
         settings = replace(task.settings, macro_step=length, interval=length, accuracy=None)
+        settings = replace(settings, stop=stop)
         held = replace(task, settings=replace(settings, method=Method.JACOBI))
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 
