@@ -188,13 +188,11 @@ class CoSimulation:
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
-        own = np.array([self.parts[name].is_own for name, _ in self.wiring.sources], dtype=bool)
-        may_freeze = ~own & (self.wiring.held[:-1] == 0)
+        few, may = partial(self._in_few_steps, task), self._may_round()
+        span = settings.stop - settings.start
+        noise = noise_by_restarts(few, span, may & bool(fixed)) / 2
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
-        span, noise = settings.stop - settings.start, 0.0
-        if fixed:
-            noise = noise_by_restarts(partial(self._in_few_steps, task), span, may_freeze) / 2
         while True:
             of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
             try:
@@ -211,21 +209,20 @@ class CoSimulation:
                 return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
-            rounding = rounding_of(run, sizes, accuracy)
+            unseen = rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
             if last is not None:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
-                of_noise = noise * run.stats["macro_steps"]
-                reject_noise(run, fixed, accuracy, before, most, of_noise)
+                reject_noise(run, fixed, accuracy, before, most, unseen)
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
-                estimate += rounding + of_noise
+                estimate += unseen
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
-                    left, few = accuracy - estimate, partial(self._in_few_steps, task, span)
-                    still = frozen_motion(run, self.wiring.sources, ranges, may_freeze, few, left)
+                    whole, left = partial(few, span), accuracy - estimate
+                    still = frozen_motion(run, self.wiring.sources, ranges, may, whole, left)
                     return replace(run, stats={**run.stats, "error_estimate": estimate + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / estimate / 2)
@@ -242,6 +239,12 @@ class CoSimulation:
             f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
             partial=run,
         )
+
+    def _may_round(self) -> Truths:
+        """Return whether each input is driven by a continuous output of a foreign part."""
+        own = [self.parts[name].is_own for name, _ in self.wiring.sources]
+        may: Truths = ~np.array(own, dtype=bool) & (self.wiring.held[:-1] == 0)
+        return may
 
     def _in_few_steps(self, task: _Task, span: float, steps: int) -> Ranges:
         """Return the ranges of the inputs in a few steps from the start with constant inputs."""

@@ -70,7 +70,7 @@ def reject_noise(
         parts: Those that cannot restore a state.
         accuracy: The largest error that is allowed.
         before, change: The two differences, in nominal values; 0 if there is none.
-        noise: Error by the noise of the parts, in nominal values.
+        noise: Error by rounding and noise, which no difference shows, in nominal values.
 
     Raises:
         SolverError: The differences grow, or the noise is too large.
