@@ -348,7 +348,7 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
-        stats |= invalidity(violations(self.wiring, parts))
+        stats |= invalidity(violations(self.wiring))
         run = Trajectory(
             self.name,
             times,

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +87,10 @@ class PreparedCalls:
             results = [ctypes.byref(flag) for flag in flags]
             arguments += (ctypes.c_bool(False), *results, ctypes.byref(self._last))
         self._arguments = arguments
-        self._do_step = self.function("DoStep")
+
+    @cached_property
+    def _do_step(self) -> Callable[..., int]:
+        return self.function("DoStep")  # which files for model exchange do not have
 
     def function(self, name: str) -> Callable[..., int]:
         """Return a function of the library, by its name in the FMI without prefix.

@@ -37,6 +37,11 @@ class OpenedFile:
         with ExitStack() as opening:
             self._folder = opening.enter_context(unpacked(path))
             self.description = read_description(self._folder, path)
+            if self.description.modelExchange and not self.description.coSimulation:
+                raise FmuError(
+                    f"{self.name} is for model exchange only; the solver of a system integrates "
+                    f"it: cosim.open(cosim.couple({{'part': {str(path)!r}}}, {{}}))"
+                )
             choose_interface(self._folder, self.description, Interface.CO_SIMULATION, path)
             self.is_own = is_made_here(path)
             finalize(self, opening.pop_all().close)

@@ -32,7 +32,7 @@ from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
-from cosim.session.saved import packed, unpacked
+from cosim.session.saved import notes_of, packed, take_notes, unpacked
 from cosim.session.values import may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
 
@@ -114,8 +114,6 @@ class SystemSession(Life):
             with interruptible(coupling_library()) as interrupts:
                 run.begin()
         self._answer(interrupts)
-        parts = self._instances.parts.values()
-        self._first = settings.start, [tuple(part.instance.logged_events) for part in parts]
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Return start values by part and variable, checked."""
@@ -129,13 +127,10 @@ class SystemSession(Life):
         """
         self._require()
         parts = self._instances.parts
-        abilities = (part.description.coSimulation for part in parts.values())
+        abilities = (part.abilities for part in parts.values())
         self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
-        for name, part in other._instances.parts.items():
-            part.instance.logged_events[:] = parts[name].instance.logged_events
-            part.instance.violations[:] = parts[name].instance.violations
         return other
 
     # -- running ------------------------------------------------------------------------------
@@ -143,7 +138,7 @@ class SystemSession(Life):
     @property
     def invalid(self) -> str | None:
         """The first validity condition that a step violated, and since when; None if none did."""
-        found = violations(self._instances.wiring, self._run.parts)
+        found = violations(self._instances.wiring)
         return min(found, key=attrgetter("time"), default=None)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
@@ -313,12 +308,13 @@ class SystemSession(Life):
             content += states.write()
         else:
             place = states.keep()
-        return packed(self._saver, self._clock.facts, place, content, has_sum=False)
+        notes = notes_of([part.instance for part in self._instances.parts.values()])
+        return packed(self._saver, self._clock.facts, place, notes, content, has_sum=False)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
         self._reject_closed()
-        owner, clock, place, content = unpacked(self.name, saved, has_sum=False)
+        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
         states = self._states
@@ -335,9 +331,7 @@ class SystemSession(Life):
             states.go_back(place)
         self._run.numbers(np.frombuffer(content[:size]).copy(), back=True)
         self._clock = Clock(*clock)
-        start, events = self._first
-        for part, own in zip(self._instances.parts.values(), events, strict=True):
-            part.instance.logged_events[:] = own if self.time == start else ()
+        take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:

@@ -320,6 +320,11 @@ class Violations(list[Violation]):
 
     counter: Any = None
 
+    @property
+    def counted(self) -> Sequence[Violation]:
+        """Those that are left."""
+        return self if self.counter is None else self[: self.counter.violations]
+
     def note(self, one: Violation) -> None:
         """Add one."""
         if self.counter is not None:
