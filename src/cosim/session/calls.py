@@ -235,7 +235,7 @@ def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -
         free: The C function.
         saved: Pointers to the states.
     """
-    if getattr(instance, "is_fatal", False):
+    if instance.fatal.value:
         return
     for state in saved:
         if state.value:

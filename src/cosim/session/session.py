@@ -360,7 +360,7 @@ class Session(Life):
         from fmpy.fmi1 import FMICallException
 
         if status == FATAL:
-            self._instance.is_fatal = True
+            self._instance.fatal.value = True
         prefix = f"fmi{2 if self._calls.second else 3}"
         error = self._explained(FMICallException(function=f"{prefix}{function}", status=status))
         self._instance.log_texts.clear()
@@ -382,5 +382,5 @@ class Session(Life):
 
     def _reject_closed(self) -> None:
         super()._reject_closed()
-        if getattr(self._instance, "is_fatal", False):
+        if self._instance.fatal.value:
             raise FmuError(f"{self.name}: the FMU has reported a fatal error; open it again")

@@ -321,6 +321,11 @@ class SystemSession(Life):
         owner, clock, place, content = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
+        for name, part in self._instances.parts.items():
+            if part.instance.fatal.value:
+                raise FmuError(
+                    f"{self.name}: part '{name}' has reported a fatal error; begin again with reset"
+                )
         states = self._states
         if owner != self._saver:
             raise UsageError(
