@@ -13,7 +13,7 @@ from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
 from cosim.fmi.run.instance import by_name, initialize, why_it_ended
-from cosim.fmi.run.request import checked_values, output_names
+from cosim.fmi.run.request import checked_values, lost_state, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
@@ -23,7 +23,7 @@ from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
 from cosim.session.saved import damaged, packed, unpacked
-from cosim.session.values import Values, inputs_of, plain_value
+from cosim.session.values import Values, finite, inputs_of, plain_value
 from cosim.trajectory import Event
 
 _LARGEST = 64  # resets that are prepared
@@ -115,6 +115,9 @@ class Session(Life):
         self._instance, self._explained = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
+        # one that was exported here rejects a step to such a state
+        is_own = self._file.is_own
+        self._lost_state = None if is_own else lost_state(self._instance, self._description)
         self._used = False
         self._values = Values(self.name, self._description, self._calls, self._check, self.outputs)
         self._linearizers: dict[Any, Linearizer] = {}
@@ -195,6 +198,10 @@ class Session(Life):
             self._reason = why_it_ended(log)
         else:
             clock.reach(target, step)
+            if self._lost_state and (lost := self._lost_state()):
+                self._fail(
+                    FmuError(f"{self.name}: its state {lost} is not finite at {target:.12g} s")
+                )
         if not self._events:
             return ()
         found = tuple(Event(at, name, {}, {}) for at, name in self._events)
@@ -232,11 +239,14 @@ class Session(Life):
 
         Raises:
             UnknownName, UsageError: A variable does not exist, or is not one number.
-            FmuError: A value is not defined, or the session has failed or is closed.
+            FmuError: A value is not finite, or the session has failed or is closed.
         """
         if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
-        return self._values.get(names)
+        found = self._values.get(names)
+        if self._lost_state is None:
+            return found
+        return finite(self.name, self.outputs if names is None else names, found, self.time)
 
     # -- states -------------------------------------------------------------------------------
 

@@ -85,7 +85,8 @@ class SingleCopies:
         table = np.full((len(names), len(self._sessions)), np.nan)
         for number, session in enumerate(self._sessions):
             if number not in self._failed:
-                table[:, number] = session.get(names)
+                with _naming(number):
+                    table[:, number] = session.get(names)
         return table
 
     def save(self) -> dict[str, Vector]:

@@ -33,7 +33,7 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import packed, unpacked
-from cosim.session.values import may_change, not_settable, sequence_by_name
+from cosim.session.values import finite, may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
 
 _LARGEST = 64  # lists of variables whose calls are prepared
@@ -255,7 +255,7 @@ class SystemSession(Life):
         for part, access, columns, factors, offsets in groups:
             with explained(self.name, part):
                 found[columns] = factors * np.array(access.get(), dtype=float) + offsets
-        return found
+        return finite(self.name, chosen, found, self.time)
 
     def _selection(self, names: tuple[str, ...]) -> list[tuple[Any, ...]]:
         """Prepare what reads variables."""
