@@ -219,12 +219,9 @@ class StateCalls:
         self.saved.append(state)
         return len(self.saved) - 1
 
-    def go_back(self, number: int) -> bool:
-        """Set the state of a number; return whether there is one."""
-        if number >= len(self.saved):
-            return False
+    def go_back(self, number: int) -> None:
+        """Set the state of a number."""
         self._call(self._put, self._instance, self.saved[number])
-        return True
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:

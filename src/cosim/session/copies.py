@@ -51,8 +51,8 @@ class Engine(Protocol):
     def fits(self, arrays: Mapping[str, Vector]) -> bool:
         """Tell whether arrays may be the saved state of as many copies of the model."""
 
-    def restore(self, arrays: Mapping[str, Vector]) -> None:
-        """Set a saved state, which fits."""
+    def restore(self, arrays: Mapping[str, Vector]) -> dict[int, str]:
+        """Set a saved state, which fits; return why copies have failed whose FMUs reject theirs."""
 
 
 @naming_arguments_of
@@ -255,10 +255,11 @@ class Copies:
         return content.getvalue()
 
     def restore(self, saved: bytes) -> None:
-        """Go back, or forward, to a saved state.
+        """Go back, or forward, to a saved state. A copy whose FMU rejects its state has failed.
 
         Raises:
-            UsageError: The bytes are no saved state of as many copies of this model, or damaged.
+            UsageError: The bytes are no saved state of as many copies of this model, or damaged;
+                then no copy is changed.
         """
         engine = self._require()
         UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
@@ -274,12 +275,13 @@ class Copies:
                 f"{self.name}: these bytes were saved by copies of another model, or by another "
                 "number of them"
             )
-        engine.restore(arrays)
+        rejected = engine.restore(arrays)
         self._clock = Clock(float(now), float(first), float(length), int(count))
         engine.reasons, engine.invalid = (
             dict(zip(at.astype(int).tolist(), text.tolist(), strict=True))
             for at, text in (texts[:2], texts[2:])
         )
+        engine.reasons |= rejected
 
     # -- checks -------------------------------------------------------------------------------
 

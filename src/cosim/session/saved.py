@@ -10,10 +10,10 @@ _HEAD = struct.Struct("<8s16s3d2q")  # format, owner, clock, number of a state i
 _BEGIN = _SUM.size + _HEAD.size  # of the state, at a multiple of 8
 _FORMAT = b"session2"
 
-Clock = tuple[float, float, float, int]
+ClockFacts = tuple[float, float, float, int]
 
 
-def packed(owner: bytes, clock: Clock, number: int, state: bytes, *, has_sum: bool) -> bytes:
+def packed(owner: bytes, clock: ClockFacts, number: int, state: bytes, *, has_sum: bool) -> bytes:
     """Return the bytes of a session.
 
     Args:
@@ -27,7 +27,7 @@ def packed(owner: bytes, clock: Clock, number: int, state: bytes, *, has_sum: bo
     return _SUM.pack(zlib.crc32(head if has_sum else head + state)) + head + state
 
 
-def unpacked(session: str, saved: bytes, *, has_sum: bool) -> tuple[bytes, Clock, int, bytes]:
+def unpacked(session: str, saved: bytes, *, has_sum: bool) -> tuple[bytes, ClockFacts, int, bytes]:
     """Return owner, clock, number and state.
 
     Raises:

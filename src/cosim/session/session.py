@@ -22,7 +22,7 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
-from cosim.session.saved import damaged, packed, unpacked
+from cosim.session.saved import ClockFacts, damaged, packed, unpacked
 from cosim.session.values import Values, finite, inputs_of, plain_value
 from cosim.trajectory import Event
 
@@ -286,18 +286,13 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        if self._phase is not Phase.RUNNING:
-            self._reject_closed()
-        owner, clock, place, content = unpacked(self.name, saved, has_sum=self._file.is_own)
-        if owner != self._owner:
-            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
-            raise UsageError(f"{self.name}: these bytes were saved by another {what}")
+        clock, place, content = self.checked_state(saved)
         if self._serializes:
             if not self._states.restore(content):
                 self._instance.log_texts.clear()
                 raise damaged(self.name)
-        elif not self._states.go_back(place):
-            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+        else:
+            self._states.go_back(place)
         self._clock = Clock(*clock)
         start, first = self._begun
         self._events[:] = first if self.time == start else ()
@@ -305,6 +300,22 @@ class Session(Life):
         if violations:
             violations[:] = [one for one in violations if one.time <= self.time]
         self._phase = Phase.RUNNING
+
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes]:
+        """Return clock, number and bytes of a saved state that is one of this session.
+
+        Raises:
+            UsageError, FmuError: See `restore`.
+        """
+        if self._phase is not Phase.RUNNING:
+            self._reject_closed()
+        owner, clock, place, content = unpacked(self.name, saved, has_sum=self._file.is_own)
+        if owner != self._owner:
+            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
+            raise UsageError(f"{self.name}: these bytes were saved by another {what}")
+        if not self._serializes and place >= len(self._states.saved):
+            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+        return clock, place, content
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
