@@ -17,12 +17,14 @@ from helpers.harness import SANITIZED, THREADED, fuzzers, run
 from helpers.left_processes import left_processes
 from helpers.nightly import SCALE, SEED
 from helpers.random_rows import random_rows
+from helpers.thread_cases import faults_of_threads, systems
 
 from cosim.cli.main import main
 
 ROWS, PARTS = 3000, 30
 CALLS, SLICES = 50_000_000, 20
 KILLS = 200
+THREADS = 30  # cases of each kind
 
 pytestmark = [
     pytest.mark.nightly,
@@ -36,6 +38,18 @@ def test_random_fault_ends_in_one_sentence(part, ends_well, exported):
     rows = random_rows(PARTS * SEED + part, max(1, round(SCALE * ROWS / PARTS)), content)
     found = ((row, ends_well(row)) for row in rows)
     assert {f"{row.name}: {row.words}": wrong for row, wrong in found if wrong} == {}
+
+
+@pytest.mark.parametrize("kind", ["models", "file", "ssp"])
+def test_threads_end_as_each_would_alone(kind, exported, tmp_path, counts):
+    made = systems(tmp_path, exported("crank_shaft"))[kind]
+    wrong, known = {}, {}
+    for number in range(max(1, round(SCALE * THREADS))):
+        found = faults_of_threads(THREADS * SEED + number, made, known)
+        counts.update({"rows": 1, **found})
+        if found:
+            wrong[number] = found
+    assert wrong == {}
 
 
 @pytest.fixture(scope="session")
