@@ -1,5 +1,6 @@
 """Validity conditions that are violated for a small part of a step, against the closed form."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +11,9 @@ from hybrid.test_narrow_relations import CONDITIONS, SHALLOW, SPAN, STEP, Condit
 
 import cosim
 from casadi_models.dae import Dae, Model
-from cosim.errors import SolverError
+from cosim.errors import Interrupted, SolverError
+from cosim.integrate import run as native
+from cosim.integrate.call import INTERRUPTED
 
 WIDTHS = (1e-2, 1e-4)
 NATIVE = ["dop853", "cvodes", "idas", "erk", "rosenbrock", "rk4", "ode8"]
@@ -159,3 +162,25 @@ def test_model_exchange_reports_a_narrow_limit(
             what: Any = {"interface": "ModelExchange", "master": master}
             run = cosim.simulate_fmu(path, start_values={"w": width}, **what)
             expect(run.stats, kind, width, within)
+
+
+@pytest.mark.parametrize("at", [0, 1])
+def test_ctrl_c_keeps_the_rows_and_begins_no_further_integration(
+    monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    integrate, calls = native.integrate, []
+
+    def interrupted(*values: Any) -> Any:
+        calls.append(values)
+        motion = integrate(*values)
+        return replace(motion, reason=INTERRUPTED) if len(calls) == at + 1 else motion
+
+    monkeypatch.setattr(native, "integrate", interrupted)
+    dae = pendulum("bump")
+    with pytest.raises(Interrupted) as caught:
+        cosim.simulate(dae, start_values={"w": 1e-4}, output_interval=SPAN / 2)
+    assert len(calls) == at + 1
+    partial = caught.value.partial
+    assert partial is not None
+    assert partial.time.tolist() == [0, SPAN / 2, SPAN]
+    assert partial.status.endswith("interrupted")

@@ -109,9 +109,7 @@ def test_every_switch_is_found_at_its_time(case, way):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "way", [pytest.param("ModelExchange 2", marks=pytest.mark.slow), *FMUS[1:]]
-)
+@pytest.mark.parametrize("way", ["CoSimulation 2", "CoSimulation 3", "ModelExchange 2"])
 def test_an_fmu_finds_all_of_them_in_one_model(way, tmp_path):
     model = Model("integrals", stop_time=max(case[1] for case in CASES.values()))
     a, names = model.parameter("a", "1", 1.0, "factor"), {}

@@ -140,7 +140,8 @@ def _evaluated(
     if coarse:  # which may be the cause of what ends the run
         found.append(coarse)
     if checked:
-        found += breaches(dae, solved, seen, n, first_left(motion, p, again))
+        ended = motion.reason == INTERRUPTED  # by somebody who waits for no further integration
+        found += breaches(dae, solved, seen, n, {} if ended else first_left(motion, p, again))
         found.sort(key=lambda breach: (breach.position, breach != coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
@@ -309,7 +310,11 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     name = prepared.problem.dae.full_name
     with doing(name):
         motion, check, again = _integrated(prepared, values)
-        motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
+        try:
+            motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
+        except KeyboardInterrupt:  # what was computed is shown
+            motion.reason = INTERRUPTED
+            motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
         times = perf_counter() - began, time_compiling() - compiling
         found = trajectory_of(prepared, motion, recorded, values, times)
     if reason == INTERRUPTED:

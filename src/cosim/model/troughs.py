@@ -76,7 +76,10 @@ def deepest_trough(
     levels = np.abs(path.states) / path.sizes[:, None]
     needed = shares.copy()
     rests = _Rests(path)
-    alone = np.array([rests.of(own)[i] for i, own in enumerate(np.eye(len(shares), dtype=bool))])
+    alone = np.zeros(len(shares), dtype=bool)
+    doubtful = (levels > 0) & (levels < (absolute * shares / relative)[:, None])
+    for i in np.flatnonzero(doubtful.any(axis=1)).tolist():  # others are 0 or never low
+        alone[i] = rests.of(np.arange(len(shares)) == i)[i]
     # of states that vanish only together, half of the digits may be lost at first
     limits = np.where(alone | (shares < 1), relative, np.sqrt(relative))
     low = levels < (absolute * shares / limits)[:, None]
