@@ -187,6 +187,12 @@ def test_lanes_and_sessions_agree_on_the_bicycle():
     np.testing.assert_allclose(*found, rtol=1e-5, atol=1e-6)
 
 
+def of_later_zip(saved):
+    """Damage the version of the format that an entry of the archive needs."""
+    place = saved.index(b"PK\x01\x02") + 6
+    return saved[:place] + bytes([82]) + saved[place + 1 :]
+
+
 @pytest.mark.parametrize(
     ("call", "error", "said"),
     [
@@ -209,6 +215,7 @@ def test_lanes_and_sessions_agree_on_the_bicycle():
         (lambda c: c.reset(only="one"), UsageError, "numbers from 0 to 4"),
         (lambda c: c.restore(b""), UsageError, "no saved copies"),
         (lambda c: c.restore(c.save()[:-30]), UsageError, "no saved copies"),
+        (lambda c: c.restore(of_later_zip(c.save())), UsageError, "no saved copies"),
         (lambda c: c.restore(1), UsageError, "what save has returned"),
     ],
 )

@@ -1,7 +1,6 @@
 """`Copies`: many copies of a model that are advanced together."""
 
 import io
-import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, Protocol, Self
 
@@ -268,7 +267,7 @@ class Copies:
                 arrays = dict(content)
             model, (now, first, length, count) = str(arrays.pop("model")), arrays.pop("clock")
             texts = [arrays.pop(f"{n}_{p}") for n in ("reasons", "invalid") for p in ("at", "text")]
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:
             raise UsageError(f"{self.name}: these bytes are no saved copies, or damaged") from error
         if model != self.name or not engine.fits(arrays):
             raise UsageError(
