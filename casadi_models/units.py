@@ -223,12 +223,35 @@ def _pound_as_mass(name: str) -> Unit | None:
 
 
 def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
-    """Return a product of powers; all factors after a `/` divide, as in FMI."""
-    text = text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
-    if (alone := known(text)) is not None:
+    """Return a product of powers; None if a factor is unknown."""
+    if (alone := known(_plain(text))) is not None:
         return alone
-    text = _BRACKETS.sub(r"\1", text)
-    factor, base, sign = 1.0, dict[str, int](), 1
+    if (powers := _powers(text, known)) is None:
+        return None
+    factor, base = 1.0, dict[str, int]()
+    for _, unit, power in powers:
+        try:
+            factor *= unit.factor**power
+        except OverflowError:
+            return None
+        for name, exponent in unit.base:
+            base[name] = base.get(name, 0) + power * exponent
+    if not 0 < factor < inf:
+        return None
+    return Unit(factor, tuple((name, n) for name, n in base.items() if n))
+
+
+_Powers = list[tuple[str, Unit, int]]
+
+
+def _plain(text: str) -> str:
+    return text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
+
+
+def _powers(text: str, known: Callable[[str], Unit | None]) -> _Powers | None:
+    """Return names, units and powers of factors; all after a `/` divide, as in FMI."""
+    text = _BRACKETS.sub(r"\1", _plain(text))
+    found, sign = _Powers(), 1
     position, expected = 0, True
     while position < len(text):
         separator = _SEPARATOR.match(text, position)
@@ -237,20 +260,32 @@ def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:
             position, expected = separator.end(), True
             continue
         match = _FACTOR.match(text, position)
-        unit = known(match[1] or "1") if match and expected else None
-        if match is None or unit is None:
+        name = (match[1] or "1") if match and expected else ""
+        if match is None or (unit := known(name)) is None:
             return None
-        power = sign * int(match[2] or 1)
-        try:
-            factor *= unit.factor**power
-        except OverflowError:
-            return None
-        for name, exponent in unit.base:
-            base[name] = base.get(name, 0) + power * exponent
+        found.append((name, unit, sign * int(match[2] or 1)))
         position, expected = match.end(), False
-    if expected or not 0 < factor < inf:
-        return None
-    return Unit(factor, tuple((name, n) for name, n in base.items() if n))
+    return None if expected else found
+
+
+def quotient_name(unit: str, by: str) -> str:
+    """Return the name of one unit divided by another, such as `rad/kg` or `s` for `rad/(rad/s)`."""
+    above, below = _powers(unit, single_unit), _powers(by, single_unit)
+    if above is None or below is None:
+        return f"{unit}/{by}" if by.isalnum() else f"{unit}/({by})"
+    powers = dict[str, int]()
+    for factors, sign in ((above, 1), (below, -1)):
+        for name, _, power in factors:
+            powers[name] = powers.get(name, 0) + sign * power
+    powers.pop("1", None)
+    over, under = (
+        [f"{name}{abs(n) if abs(n) > 1 else ''}" for name, n in powers.items() if sign * n > 0]
+        for sign in (1, -1)
+    )
+    above_line, below_line = ".".join(over) or "1", ".".join(under)
+    if not under:
+        return above_line
+    return f"{above_line}/({below_line})" if len(under) > 1 else f"{above_line}/{below_line}"
 
 
 def represented(value: object) -> str:

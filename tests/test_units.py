@@ -6,7 +6,7 @@ import pytest
 from scipy import constants
 
 from casadi_models.dae import Model
-from casadi_models.units import UNITS, convert, parse_unit
+from casadi_models.units import UNITS, convert, parse_unit, quotient_name
 
 # Independent of the product: CODATA and international definitions as SciPy states them
 IN_SI = {
@@ -124,3 +124,29 @@ def test_model_may_declare_each_of_these_units(unit):
     model = Model("m")
     model.derivative(model.state("x", unit, 1.0, "state"), 0)
     assert model.freeze().states[0].unit == unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "by", "expected"),
+    [
+        ("rad", "kg", "rad/kg"),
+        ("rad", "rad/s", "s"),
+        ("rad/s", "kg", "rad/(s.kg)"),
+        ("N.m", "s", "N.m/s"),
+        ("m/s2", "s", "m/s3"),
+        ("W/(m.K)", "K", "W/(m.K2)"),
+        ("1", "kg", "1/kg"),
+        ("m", "m", "1"),
+        ("furlong", "s", "furlong/s"),
+        ("m", "furlong/s", "m/(furlong/s)"),
+    ],
+)
+def test_quotient_of_units_has_its_usual_name(unit, by, expected):
+    assert quotient_name(unit, by) == expected
+    above, below, quotient = (parse_unit(name) for name in (unit, by, expected))
+    if above and below:
+        assert quotient.factor == pytest.approx(above.factor / below.factor)
+        exponents = dict.fromkeys([*dict(above.base), *dict(below.base)], 0)
+        for name, power in (*above.base, *((name, -power) for name, power in below.base)):
+            exponents[name] += power
+        assert dict(quotient.base) == {name: power for name, power in exponents.items() if power}

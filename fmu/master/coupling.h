@@ -118,6 +118,11 @@ static inline int enter_event_modes(Coupling *self) {
     return DONE;
 }
 
+/* Whether an input of a part has changed that is set in event mode only. */
+static inline int has_switched(const Coupling *self, const Part *part) {
+    return self->switched && part->event_mode && part->steady->width < part->inputs;
+}
+
 /* What happens at the present point, if a part waits for it; at the last one, no step follows that
  * would find it. */
 static inline int pass_events(Coupling *self) {
@@ -125,7 +130,8 @@ static inline int pass_events(Coupling *self) {
     const int last = system->ends && same_time(system, self->now.t, system->stop);
     int any = 0;
     for (long long p = 0; p < system->n_parts; ++p)
-        any |= system->parts[p].waits || (last && system->parts[p].event_mode);
+        any |= system->parts[p].waits || (last && system->parts[p].event_mode) ||
+               has_switched(self, system->parts + p);
     if (!any) return DONE;
     if (enter_event_modes(self) != DONE) return CALL_FAILED;
     /* events see the values that relations of time in other parts have now */

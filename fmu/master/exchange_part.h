@@ -31,11 +31,12 @@ typedef struct {
     Exchange exchange;
 } Stepped;
 
+enum { NUMBERS = 3 + NX + NZ };
+
 /* What a step changes. */
 typedef struct {
-    double t, x[NX], signs[NZ];
-    Events events;
-    void *state; /* of the FMU */
+    double numbers[NUMBERS]; /* of the solver */
+    void *state;             /* of the FMU */
 } Saved;
 
 /* A status for the master: a step that finds no end may be a shorter one. */
@@ -198,16 +199,31 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     return move_fmu(solver, t, solver->x) ? status_of(self, CALL_FAILED) : status;
 }
 
+static void copy_numbers_out(const Exchange *solver, double *numbers) {
+    numbers[0] = solver->t;
+    numbers[1] = solver->events.next_defined;
+    numbers[2] = solver->events.next;
+    memcpy(numbers + 3, solver->x, sizeof solver->x);
+    memcpy(numbers + 3 + NX, solver->signs, sizeof solver->signs);
+}
+
+/* Sets the numbers of the solver, and time and states of the FMU. */
+static int take_numbers(Stepped *self, const double *numbers) {
+    Exchange *solver = &self->exchange;
+    solver->t = numbers[0];
+    solver->events = (Events){false, numbers[1] != 0, numbers[2]};
+    memcpy(solver->x, numbers + 3, sizeof solver->x);
+    memcpy(solver->signs, numbers + 3 + NX, sizeof solver->signs);
+    return status_of(self, move_fmu(solver, solver->t, solver->x) ? CALL_FAILED : DONE);
+}
+
 static int save_model(void *stepper, void **place) {
     const Stepped *self = stepper;
     const Functions *call = self->model->call;
     Saved *saved = *place ? *place : calloc(1, sizeof *saved);
     if (!saved) return FAILED;
     *place = saved;
-    saved->t = self->exchange.t;
-    saved->events = self->exchange.events;
-    memcpy(saved->x, self->exchange.x, sizeof saved->x);
-    memcpy(saved->signs, self->exchange.signs, sizeof saved->signs);
+    copy_numbers_out(&self->exchange, saved->numbers);
     return self->model->saves ? call->get_fmu_state(call->instance, &saved->state) : OK;
 }
 
@@ -215,13 +231,16 @@ static int restore_model(void *stepper, void *place) {
     Stepped *self = stepper;
     const Functions *call = self->model->call;
     const Saved *saved = place;
-    self->exchange.t = saved->t;
-    self->exchange.events = saved->events;
-    memcpy(self->exchange.x, saved->x, sizeof saved->x);
-    memcpy(self->exchange.signs, saved->signs, sizeof saved->signs);
     const int status = self->model->saves ? call->set_fmu_state(call->instance, saved->state) : OK;
-    if (status > WARNING) return status;
-    return status_of(self, move_fmu(&self->exchange, saved->t, saved->x) ? CALL_FAILED : DONE);
+    return status > WARNING ? status : take_numbers(self, saved->numbers);
+}
+
+/* Copies the numbers of the solver to a place, or `in` from there; returns how many, or -1 if that
+ * failed. */
+SHARED long long numbers_of_model(const Functions *steps, double *place, int in) {
+    Stepped *self = steps->stepper;
+    if (place && !in) copy_numbers_out(&self->exchange, place);
+    return place && in && take_numbers(self, place) > WARNING ? -1 : NUMBERS;
 }
 
 static int forget_model(void *stepper, void **place) {

@@ -169,13 +169,19 @@ _ELSEWHERE = {  # keywords of other tools, by ours; the first that a function ha
     "bound": "rtol reltol rel_tol tol tolerance atol abstol abs_tol",
     "absolute_tolerance": "atol abstol abs_tol",
     "grid": "t_eval teval t tspan t_span t_end stop_time output_times",
-    "stop_time": "t_end tend tf t_final final_time tspan t_span duration t_max",
+    "stop_time": "t_end tend tf t_final final_time tspan t_span duration t_max end_time tstop",
     "output_interval": "dt saveat",
     "output_times": "t_eval teval t grid",
     "parameters": "params p p0",
     "start_values": "parameters params p p0 x0 y0 u0 initial_values initial_conditions",
     "solver": "method integrator",
 }
+
+
+def meant_elsewhere(name: str, known: Collection[str]) -> list[str] | None:
+    """Return the known keywords for one of another tool; None if no tool is known to have it."""
+    meant = [own for own, others in _ELSEWHERE.items() if name in others.split()]
+    return [own for own in meant if own in known] if meant else None
 
 
 def naming_arguments(function: _Call) -> _Call:
@@ -203,8 +209,8 @@ def naming_arguments(function: _Call) -> _Call:
     def named(*values: Any, **keywords: Any) -> Any:
         more = keywords.keys() - known
         for name in more if rest is None else ():
-            near = [k for k, others in _ELSEWHERE.items() if name in others.split()]
-            near = [k for k in near if k in known] if near else get_close_matches(name, known, 1)
+            near = meant_elsewhere(name, known)
+            near = near if near is not None else get_close_matches(name, known, 1)
             every = shortened([*known], 12) or "none"
             hint = f"did you mean {near[0]}?" if near else f"it has {every}"
             call = f"{function.__name__}() got an unexpected keyword argument"

@@ -64,12 +64,17 @@ def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> s
 def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:
     """Widen the range around constant curves, whose numerical errors would fill the panel.
 
-    Values, (n,) or (n, curves), and the nominal value have the unit of the vertical axis.
+    A text says how large values are that look like 0. Values, (n,) or (n, curves), and the nominal
+    value have the unit of the vertical axis.
     """
     if np.ptp(values) < max(1e-9 * nominal, 1e-6 * float(np.abs(values).max())):
-        middle = float(values.flat[0])
-        margin = 0.1 * abs(middle) if abs(middle) > 1e-9 * nominal else nominal
+        middle, most = float(values.flat[0]), float(np.abs(values).max())
+        looks_zero = abs(middle) <= 1e-9 * nominal
+        margin = nominal if looks_zero else 0.1 * abs(middle)
         axis.set_ylim(middle - margin, middle + margin)
+        if looks_zero and most:
+            text = f"at most {most:.1e}"
+            axis.text(0.98, 0.96, text, transform=axis.transAxes, ha="right", va="top", fontsize=8)
 
 
 def embedded(figure: Figure, alt: str) -> str:

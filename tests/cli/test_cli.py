@@ -88,6 +88,13 @@ def test_file_that_is_no_fmu_is_reported(verb, content, expected, tmp_path, caps
     assert capsys.readouterr().err == f"FmuError: cannot read {path}: {expected}\n"
 
 
+def test_missing_system_is_reported_with_its_kind_of_file(tmp_path, capsys):
+    path = tmp_path / "a.ssp"
+    assert main(["simulate", str(path)]) == 1
+    told = f"FmuError: cannot read {path}: No such file or directory; give an SSP file\n"
+    assert capsys.readouterr().err == told
+
+
 def test_check_finds_that_a_file_is_no_fmu(tmp_path, capsys):
     path = tmp_path / "a.fmu"
     assert main(["check", str(path)]) == 1  # there is nothing to check

@@ -80,7 +80,7 @@ def test_unknown_model_is_answered_with_the_nearest_whatever_the_case(name, told
     ("name", "told"),
     [
         ("mine.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
-        ("bar_theta.toml", "a scene is taken by simulate"),
+        ("bar_theta.toml", "tradeoff and plot; in Python, by cosim.read_scene"),
         ("folder/bicycle.fmu", "an FMU is taken by simulate"),
     ],
 )

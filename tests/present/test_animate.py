@@ -15,6 +15,7 @@ from helpers.scenes import spinning
 from PIL import Image
 
 import cosim
+from cosim.coupling.files import read_system
 from cosim.drawing.camera import View, scale_of
 from cosim.drawing.meshes import arrow, joined, mesh_of
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
@@ -384,6 +385,34 @@ def test_short_peak_of_a_load_does_not_make_all_other_arrows_small(run):
     assert scale_of([replace(played, loads=(rest,))], None).per_unit["N"] == 0.0
     ghost = replace(played, loads=())  # of a run that did not record the loads
     assert scale_of([replace(played, loads=(peaked,)), ghost], None).per_unit == scale.per_unit
+
+
+def test_input_does_not_hide_the_curve_that_it_is_connected_to(tmp_path):
+    run = cosim.simulate(read_system("examples/coupled/quarter_car.toml").dae, compiled=False)
+    data = facts_of(animate(run, tmp_path / "x.html").read_text("utf-8"))
+    chosen = [data["columns"][k]["name"] for k in data["chosen"]]
+    assert chosen[:2] == ["wheel.x", "chassis.x"]
+    assert "chassis.x_wheel" not in chosen
+
+
+def scaled_load(run, sizes):
+    """Return a scene with one load of given sizes over time, and its scale."""
+    played = playback(run, run.drawing)
+    load = replace(played.loads[0], vector=np.outer(sizes(len(played.time)), [1.0, 0.0, 0.0]))
+    return load, scale_of([replace(played, loads=(load,))], None)
+
+
+def test_arrow_of_a_peak_takes_no_more_of_the_picture_than_others(run):
+    _, steady = scaled_load(run, np.ones)
+    _, peaked = scaled_load(run, lambda n: np.where(np.arange(n) == 2, 1e6, 1.0))
+    assert 0.5 * steady.size < peaked.size <= steady.size  # its own length, without a bound: 344 m
+
+
+def test_arrow_of_a_load_that_fades_fades(run):
+    load, scale = scaled_load(run, lambda n: np.logspace(0, -8, n))
+    lengths = [np.linalg.norm(np.subtract(*scale.arrow(load, k))) for k in (0, -1)]
+    assert lengths[0] == pytest.approx(0.5 * scale.pose, rel=1e-12)
+    assert lengths[1] < 1e-6 * scale.pose  # rounding would look like a load
 
 
 def test_ghosts_move_with_the_first_run_if_the_camera_follows():

@@ -13,7 +13,7 @@ import cosim
 from cosim.api import execute
 from cosim.cli.main import main
 from cosim.errors import ExportError, SolverError, UnknownName, UsageError
-from cosim.plotting import save
+from cosim.plotting import keep_constant_flat, save
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
 from cosim.scene.scene import FigureSpec
 from cosim.scene.variants import variant
@@ -395,3 +395,11 @@ def test_values_in_a_legend_have_their_unit(tmp_path, monkeypatch):
     words = ["-p", "speed=3.5,4.5", "--stop-time", "0.1", "--outputs", "phi"]
     main(["plot", "bicycle", *words, "-o", str(tmp_path / "x.png")])
     assert [run.stats["variation"] for run in shown] == ["speed=3.5 m/s", "speed=4.5 m/s"]
+
+
+@pytest.mark.parametrize(("size", "texts"), [(0.0, []), (2.5e-12, ["at most 2.5e-12"])])
+def test_curve_that_looks_like_zero_says_how_large_it_is(size, texts):
+    axis = Figure().subplots()
+    keep_constant_flat(axis, size * np.array([0.0, 1.0, -1.0]), 20.0)
+    assert axis.get_ylim() == (-20.0, 20.0)
+    assert [text.get_text() for text in axis.texts] == texts

@@ -141,3 +141,41 @@ def test_file_without_states_can_only_begin_again(tmp_path):
             session.save()
         session.reset()
         assert (session.time, session["y"]) == (0.0, 0.0)
+
+
+@VERSIONS
+def test_state_of_another_begin_brings_no_event_of_this_one(fmi, fmus):
+    """Samples are at 0.05, 0.18, ...; a session that begins at 0.05 has the first one there."""
+    with cosim.open(fmus["driven_ball", fmi]) as session:
+        assert [len(session.advance(to=time)) for time in (0.03, 0.05)] == [0, 1]
+        saved = session.save()
+        session.reset(start_time=0.05)
+        begin = session.save()
+        session.restore(saved)
+        assert session.advance(to=0.06) == ()  # before: the sample of the other begin
+        session.reset()
+        session.restore(begin)
+        (sample,) = session.advance(to=0.06)  # before: none
+        assert (sample.name, sample.time) == ("control", 0.05)
+
+
+def test_violation_belongs_to_the_branch_that_was_saved():
+    """x' = u leaves x < 1 at 0.5 s in one branch; in the other, x stays at 0."""
+    model = cosim.Model("limited", stop_time=1.0)
+    x, u = model.state("x", "1", 0.0, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, u)
+    model.limit(x < 1, "x is small")
+    dae = model.freeze()
+    with cosim.open(dae) as session, cosim.open(dae) as other:
+        begin = session.save()
+        session.advance(to=1.0)
+        still = session.save()
+        session.restore(begin)
+        session.set(u=2.0)
+        session.advance(to=1.0)
+        assert "x is small" in session.invalid
+        left = session.save()
+        session.restore(still)
+        assert session.invalid is None  # before: that of the other branch
+        other.restore(left)
+        assert other.invalid == "invalid from 0.5 s: not fulfilled: x is small"  # before: None

@@ -5,6 +5,7 @@ import random
 from math import exp
 from weakref import ref
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.detours import detour, straight
@@ -214,6 +215,37 @@ def test_linearize_rejects_samples_and_files_without_derivatives(tmp_path):
     path = foreign_part(tmp_path, "lag", providesDirectionalDerivative="false")
     with cosim.open(path) as session, pytest.raises(FmuError, match="no directional derivatives"):
         session.linearize()
+
+
+def cornered():
+    """Return x' = -x + u limited to 1, with |x| as output."""
+    model = Model("cornered", stop_time=1.0)
+    x, u = model.state("x", "1", 0.5, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, -x + ca.fmin(ca.fmax(u, -1), 1))
+    model.output("size", "1", ca.fabs(x), "size")
+    return model.freeze()
+
+
+def test_linear_system_is_rejected_where_it_has_two_sides(tmp_path):
+    dae = cornered()
+    with cosim.open(dae) as session:
+        A, B, C, _ = session.linearize()
+        assert (A.tolist(), B.tolist(), C.ravel().tolist()[-1]) == ([[-1]], [[1]], 1)
+        session.set(u=1.0)
+        with pytest.raises(InitialConditionError, match="fmin of u is exactly at 0 at 0 s"):
+            session.linearize()  # before: B = 1, that of one side
+        session.set(u=2.0)
+        assert session.linearize().B.tolist() == [[0]]
+        session.reset({"x": 0.0})
+        assert session.linearize(["x"]).A.tolist() == [[-1]]
+        with pytest.raises(InitialConditionError, match="fabs of x"):
+            session.linearize(["size"])
+    path = cosim.export_fmu(dae, tmp_path / "cornered.fmu")
+    assert cosim.linearize(path, start_values={"u": 0.999}).B.tolist() == [[1]]
+    assert cosim.linearize(path, start_values={"u": 1.001}).B.tolist() == [[0]]
+    for values, what in (({"u": 1.0}, r"der\(x\) has .* to u"), ({"x": 0.0}, "size has .* to x")):
+        with pytest.raises(FmuError, match=f"{what} beside the initial state"):
+            cosim.linearize(path, start_values=values)  # before: the system of one side
 
 
 # -- failures -----------------------------------------------------------------------------------

@@ -68,9 +68,12 @@ SYSTEMS = {
     "foreign state": lambda files: lags(files, "keeper", wires={"load.u": "motor.y"}),
     "events": lambda files: balls(files, "ball"),
     "exchange": lambda files: balls(files, "exchange"),
+    "exchange, driven": lambda files: cosim.couple(
+        {"lag": files["lag"], "ball": files["exchange"]}, {"ball.wind": "lag.y"}, stop_time=1.0
+    ),
     "stateless": lambda files: balls(files, "stateless"),
 }
-SERIALIZED = ("loop", "chain", "events")
+SERIALIZED = ("loop", "chain", "events", "exchange", "exchange, driven")
 
 
 # -- bits -----------------------------------------------------------------------------------------
@@ -286,10 +289,10 @@ def test_state_from_before_a_reset_to_another_time_goes_on_with_the_same_bits(wa
 
 def test_state_that_a_part_rejects_is_an_error(files):
     with cosim.open(balls(files, "ball")) as session:
-        owner, clock, place, content = unpacked("balls", session.save(), has_sum=False)
+        owner, clock, place, notes, content = unpacked("balls", session.save(), has_sum=False)
         damaged = bytearray(content)
         damaged[-100] ^= 1
-        saved = packed(owner, clock, place, bytes(damaged), has_sum=False)
+        saved = packed(owner, clock, place, notes, bytes(damaged), has_sum=False)
         with pytest.raises(FmuError, match=r"part 'ball': .*rejects the saved state"):
             session.restore(saved)
         session.reset()
@@ -314,6 +317,23 @@ def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
             (event,), (same,) = session.advance(to=0.6), other.advance(to=0.6)
             assert (event.name, event.time) == (same.name, same.time)
             assert event.name == "a: above"
+
+
+@EVERY_WAY
+def test_state_of_another_begin_brings_no_event_of_this_one(way, files):
+    """Samples are at 0.05, 0.18, ...; a session that begins at 0.05 has the first one there."""
+    with cosim.open(balls(files, "ball"), **way) as session:
+        before = [session.advance(to=0.03), session.advance(to=0.05)]
+        assert list(map(len, before)) == [0, 1]
+        saved = session.save()
+        session.reset(start_time=0.05)
+        begin = session.save()
+        session.restore(saved)
+        assert session.advance(to=0.06) == ()  # before: the sample of the other begin
+        session.reset()
+        session.restore(begin)
+        (sample,) = session.advance(to=0.06)  # before: none
+        assert (sample.name, sample.time) == ("ball: control", 0.05)
 
 
 def test_part_that_ends_the_run_is_named_with_the_time(files):
@@ -440,6 +460,15 @@ def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
         assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
     with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
         cosim.open(toml, macro_step=STEP)
+
+
+def test_file_for_model_exchange_only_is_opened_as_a_part(files):
+    with pytest.raises(FmuError, match="model exchange only") as caught:
+        cosim.open(files["exchange"])
+    call = str(caught.value).partition(": cosim.open")[2]
+    with eval(f"cosim.open{call}", {"cosim": cosim}) as session:
+        (sample,) = session.advance(to=0.1)
+        assert sample.time == pytest.approx(0.05, abs=1e-12)
 
 
 def test_copies_of_a_system_are_advanced_together(files):

@@ -17,7 +17,7 @@ from typing import Any
 
 from cosim.cli.options import Parser, add_options, did_you_mean
 from cosim.cli.verbs import ALIASES, VERBS
-from cosim.errors import CosimError
+from cosim.errors import CosimError, meant_elsewhere
 from cosim.files import reject_unwritable
 from cosim.host.progress import shown_on_terminal
 from cosim.host.signals import ended_by_signals, time_limit
@@ -184,8 +184,7 @@ _OTHER_NAMES = {
     "--sweep": ("--along",),
     "--inputs": ("--input-file", "--input"),  # the keyword of Python's calls
     "--parameters": ("--by", "--free", "-p"),
-    "--rtol": ("--relative-tolerance",),
-    "--atol": ("--absolute-tolerance",),
+    "--vary": ("-p",),
     "--delete": ("--clear",),
 }
 _OTHER_VERBS = {"run": "simulate", "compare": "crosscheck", "validate": "check"}
@@ -209,6 +208,9 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     name = word.partition("=")[0]
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
+    keywords = {option.lstrip("-").replace("-", "_"): option for option in options}
+    if meant := meant_elsewhere(name.lstrip("-").replace("-", "_"), keywords):
+        return f"; write {keywords[meant[0]]}"
     if option in verb.options("A,B") and not word.startswith("-"):
         return f"; write a list with commas: {before},{word}"
     return did_you_mean(name, options)

@@ -38,7 +38,8 @@ from cosim.coupling.stability import Ranges, reject_instability
 from cosim.coupling.wiring import Wiring
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import by_name, invalidity, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, numeric_names, rounding
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
@@ -339,7 +340,7 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
             stats |= {"stop_time": float(system.time)}
-        stats |= invalidity(violations(self.wiring, parts))
+        stats |= invalidity(violations(self.wiring))
         run = Trajectory(
             self.name,
             times,

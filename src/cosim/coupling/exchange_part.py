@@ -10,7 +10,7 @@ from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.fmi.run.c_structures import Calls, Functions, addresses_of
-from cosim.fmi.run.instance import is_second
+from cosim.fmi.run.description import is_second
 from cosim.fmi.run.request import nominals_of
 from cosim.memo import cached_per_thread
 
@@ -77,6 +77,18 @@ class ExchangeSolver:
         replaced = own and own != getattr(self._model.call.contents, field.decode())
         return (self._model.function if replaced else None) or field
 
+    def numbers(self) -> bytes:
+        """Return what the solver's next step begins with, beside the state of the FMU."""
+        found = np.empty(self._library.numbers_of_model(ctypes.byref(self.functions), None, 0))
+        self._library.numbers_of_model(ctypes.byref(self.functions), found.ctypes.data, 0)
+        return found.tobytes()
+
+    def go_on_with(self, numbers: bytes) -> bool:
+        """Set these; return whether the FMU accepts its time and its states."""
+        own = np.frombuffer(numbers).copy()
+        functions = ctypes.byref(self.functions)
+        return int(self._library.numbers_of_model(functions, own.ctypes.data, 1)) == len(own)
+
     def close(self) -> None:
         """Free the solver."""
         self._library.close_model(ctypes.byref(self.functions))
@@ -89,6 +101,8 @@ def _library(states: int, indicators: int) -> ctypes.CDLL:
     text = sizes + master_source("exchange_part.h") + coefficients
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
     library.open_model.argtypes = [ctypes.POINTER(_Model)]
+    library.numbers_of_model.argtypes = [ctypes.POINTER(Functions), ctypes.c_void_p, ctypes.c_int]
+    library.numbers_of_model.restype = ctypes.c_longlong
     library.close_model.argtypes = [ctypes.POINTER(Functions)]
     library.close_model.restype = None
     return library

@@ -131,10 +131,10 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
     return notes
 
 
-def violations(wiring: Wiring, places: Any) -> Iterator[Violation]:
+def violations(wiring: Wiring) -> Iterator[Violation]:
     """Yield the violated validity conditions of parts, of those steps that were not repeated."""
-    for (name, part), place in zip(wiring.parts.items(), places, strict=True):
-        for one in part.instance.violations[: place.violations]:
+    for name, part in wiring.parts.items():
+        for one in part.instance.violations.counted:
             yield Violation(one.time, f"{name}: {one.what}")
 
 

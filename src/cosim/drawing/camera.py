@@ -16,6 +16,8 @@ from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
 PEAK = 4.0  # times the usual load of a unit that an arrow shows; larger ones are as long
+USUAL = 0.9  # share of the times at which loads are not above the usual one
+NOTHING = 1e-6  # share of the largest load below which none acts
 HALF_ANGLE = 0.36  # rad, from the middle of a picture to its upper edge
 OUTWARD = np.array([*product((-1, 0, 1), repeat=3)])  # outermost points are sought along these
 _LONG_PATH = 2.0  # extent of a path that is shown as a whole, over that of the poses
@@ -101,10 +103,8 @@ class Scale:
         Short peaks and loads outside the validity range may be of any size: no arrow is longer
         than `LONGEST_ARROW`.
         """
-        start, along = load.at[frame], self.per_unit[load.unit] * load.vector[frame]
-        length = float(np.linalg.norm(along))
-        longest = LONGEST_ARROW * self.pose
-        return start, start + (along if length <= longest else longest / length * along)
+        start = load.at[frame]
+        return start, start + _arrows(load, self.per_unit, LONGEST_ARROW * self.pose)[frame]
 
 
 def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
@@ -134,7 +134,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
     first, shift = runs[0], runs[0].followed(follow)
     for load in first.loads:
-        tips = load.at + per_unit[load.unit] * load.vector - shift
+        tips = load.at + _arrows(load, per_unit, longest) - shift
         points.append(tips[first.valid])
     if not shift.any():  # a path stays in the picture only if the camera does not follow
         reach = _LONG_PATH * float(np.ptp(poses, axis=0).max())
@@ -151,6 +151,14 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     )
 
 
+def _arrows(load: Load, per_unit: dict[str, float], longest: float) -> Vector:
+    """Return the arrows of a load, none longer than a length, m, (n, 3)."""
+    along = per_unit[load.unit] * load.vector
+    length: Vector = np.linalg.norm(along, axis=1)
+    arrows: Vector = along * (longest / np.maximum(length, longest))[:, None]
+    return arrows
+
+
 def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
     """Return the load of the longest arrow by unit, SI: the largest one, short peaks aside."""
     found = {}
@@ -159,8 +167,9 @@ def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
         for run in runs:
             loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
             sizes += np.max(loads, axis=0).tolist() if loads else []
-        acting = [size for size in sizes if size > 0] or [0.0]
-        found[unit] = min(max(acting), PEAK * float(np.median(acting)))
+        most = max((size for size in sizes if size > 0), default=0.0)
+        acting = [size for size in sizes if size > NOTHING * most] or [0.0]
+        found[unit] = min(most, PEAK * float(np.quantile(acting, USUAL, method="lower")))
     return found
 
 

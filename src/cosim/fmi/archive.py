@@ -74,7 +74,7 @@ def opened(
             archive = held.enter_context(zipfile.ZipFile(source))
         except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError) as error:
             reason = getattr(error, "strerror", None) or "it is not a zip archive"
-            raise FmuError(f"cannot read {name}: {reason}; give an FMU") from error
+            raise FmuError(f"cannot read {name}: {reason}; give {_KINDS[description]}") from error
         try:
             _reject_dangerous_entries(archive, most_bytes)
             for entry in _READ_BY_TOOLS:

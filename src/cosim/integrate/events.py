@@ -36,6 +36,7 @@ from cosim.text import Ending, EndKind
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_FEW_STEPS = 100  # take as long as a piece does without them; there are fewer rows of more steps
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 
 
@@ -324,6 +325,9 @@ class _Course:
             self.reached.append(piece.reached)
             steps = (piece.reached.counts.steps or 0) / len(looks)
             enough = steps <= _STEPS_PER_LOOK or piece.reached.watched or piece.reason
+            if not piece.reached.watched:
+                rows = _FEW_STEPS / max(steps * self.looks, 1.0)
+                self.least_window = int(np.clip(rows, 1, _LEAST_WINDOW))
             if enough or not self.system.of_states:
                 return piece
             self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)

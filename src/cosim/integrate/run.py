@@ -140,7 +140,7 @@ def _evaluated(
     if coarse:  # which may be the cause of what ends the run
         found.append(coarse)
     if checked:
-        ended = motion.reason == INTERRUPTED  # by somebody who waits for no further integration
+        ended = motion.reason == INTERRUPTED  # a further integration would last
         found += breaches(dae, solved, seen, n, {} if ended else first_left(motion, p, again))
         found.sort(key=lambda breach: (breach.position, breach != coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:

@@ -41,7 +41,7 @@ _REMEDIES = {  # by what a text that is no formula contains
     r"(?<![=<>!])=(?!=)": "write <, > or, for discrete variables, == between two values",
     r"(?<!\w)[\d.]+\s*[A-Za-z(]": "write * between factors, as in 2*sin(t)",
 }
-_OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step")
+_OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step", "heaviside")
 _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.fmi.run.c_structures import c_type
-from cosim.fmi.run.instance import getter_name, is_second
+from cosim.fmi.run.description import is_second
+from cosim.fmi.run.instance import getter_name
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
 _LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
@@ -86,7 +88,10 @@ class PreparedCalls:
             results = [ctypes.byref(flag) for flag in flags]
             arguments += (ctypes.c_bool(False), *results, ctypes.byref(self._last))
         self._arguments = arguments
-        self._do_step = self.function("DoStep")
+
+    @cached_property
+    def _do_step(self) -> Callable[..., int]:
+        return self.function("DoStep")  # which files for model exchange do not have
 
     def function(self, name: str) -> Callable[..., int]:
         """Return a function of the library, by its name in the FMI without prefix.

@@ -11,7 +11,8 @@ from casadi_models.dae import Dae
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import Interface, choose_interface, instantiated, read_description
+from cosim.fmi.run.description import Interface, choose_interface, read_description
+from cosim.fmi.run.instance import instantiated
 from cosim.fmi.trust import is_made_here
 from cosim.host.temporary import temporary_folder
 from cosim.memo import cached_per_thread
@@ -37,6 +38,11 @@ class OpenedFile:
         with ExitStack() as opening:
             self._folder = opening.enter_context(unpacked(path))
             self.description = read_description(self._folder, path)
+            if self.description.modelExchange and not self.description.coSimulation:
+                raise FmuError(
+                    f"{self.name} is for model exchange only; the solver of a system integrates "
+                    f"it: cosim.open(cosim.couple({{'part': {str(path)!r}}}, {{}}))"
+                )
             choose_interface(self._folder, self.description, Interface.CO_SIMULATION, path)
             self.is_own = is_made_here(path)
             finalize(self, opening.pop_all().close)

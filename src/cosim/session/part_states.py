@@ -2,7 +2,7 @@
 
 import ctypes
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cosim.coupling.opened_part import OpenedPart, explained
@@ -35,7 +35,7 @@ class PartStates:
                 "reset"
             )
         self._system, self._parts = system, parts
-        self.serializes = all(map(_serializes, parts.values()))
+        self.serializes = all(part.abilities.canSerializeFMUstate for part in parts.values())
         self._calls = [_calls(part) for part in parts.values()] if self.serializes else []
         self._kept: list[list[ctypes.c_void_p]] = []
 
@@ -44,7 +44,7 @@ class PartStates:
         found = []
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
             with explained(self._system, part):
-                found.append(calls.save())
+                found += [part.solver.numbers() if part.solver else b"", calls.save()]
         return b"".join(_SIZE.pack(len(one)) + one for one in found)
 
     def read(self, content: bytes) -> None:
@@ -53,12 +53,13 @@ class PartStates:
         Raises:
             FmuError: A part rejects its state.
         """
-        place = 0
+        pieces = _pieces(content)
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
-            (size,) = _SIZE.unpack_from(content, place)
-            place += _SIZE.size + size
+            numbers, state = next(pieces), next(pieces)
             with explained(self._system, part):
-                if not calls.restore(content[place - size : place]):
+                if not calls.restore(state) or (
+                    part.solver and not part.solver.go_on_with(numbers)
+                ):
                     raise FmuError("it rejects the saved state")
 
     def keep(self) -> int:
@@ -93,8 +94,12 @@ class PartStates:
             raise FmuError(f"{self._system}: part '{part.name}': {part.explained(FmuError(call))}")
 
 
-def _serializes(part: OpenedPart) -> bool:
-    return part.solver is None and bool(part.description.coSimulation.canSerializeFMUstate)
+def _pieces(content: bytes) -> Iterator[bytes]:
+    place = 0
+    while place < len(content):
+        (size,) = _SIZE.unpack_from(content, place)
+        place += _SIZE.size + size
+        yield content[place - size : place]
 
 
 def _calls(part: OpenedPart) -> StateCalls:

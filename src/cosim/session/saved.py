@@ -1,48 +1,77 @@
-"""The bytes of a saved session: checksum, format, owner, clock, and the state of the FMU."""
+"""The bytes of a saved session: checksum, format, owner, clock, notes, and the state of the FMU."""
 
+import json
 import struct
 import zlib
+from collections.abc import Sequence
+from typing import Any
 
 from cosim.errors import UsageError
+from cosim.text import Violation
 
 _SUM = struct.Struct("<Q")
-_HEAD = struct.Struct("<8s16s3d2q")  # format, owner, clock, number of a state in this process
-_BEGIN = _SUM.size + _HEAD.size  # of the state, at a multiple of 8
-_FORMAT = b"session2"
+# format, owner, clock, number of a state in this process, length of the notes
+_HEAD = struct.Struct("<8s16s3d3q")
+_BEGIN = _SUM.size + _HEAD.size
+_FORMAT = b"session3"
 
 ClockFacts = tuple[float, float, float, int]
 
 
-def packed(owner: bytes, clock: ClockFacts, number: int, state: bytes, *, has_sum: bool) -> bytes:
+def notes_of(instances: Sequence[Any]) -> bytes:
+    """Return the violations, and the events that no step has returned yet; empty if none."""
+    found = [
+        (list(one.logged_events), [(v.time, v.what) for v in one.violations.counted])
+        for one in instances
+    ]
+    return json.dumps(found).encode() if any(map(any, found)) else b""
+
+
+def take_notes(instances: Sequence[Any], notes: bytes) -> None:
+    """Set what `notes_of` returned for instances of the same files."""
+    found = json.loads(notes) if notes else [((), ())] * len(instances)
+    for instance, (events, violations) in zip(instances, found, strict=True):
+        instance.logged_events[:] = map(tuple, events)
+        instance.violations[:] = [Violation(*one) for one in violations]
+
+
+def packed(
+    owner: bytes, clock: ClockFacts, number: int, notes: bytes, state: bytes, *, has_sum: bool
+) -> bytes:
     """Return the bytes of a session.
 
     Args:
         owner: Of the state: a model or a session.
         clock: Facts of the clock.
         number: Of a state that the process holds.
+        notes: See `notes_of`.
         state: Written by the FMU.
         has_sum: Whether the state has a checksum of its own, which the FMU verifies.
     """
-    head = _HEAD.pack(_FORMAT, owner, *clock, number)
+    head = _HEAD.pack(_FORMAT, owner, *clock, number, len(notes)) + notes
     return _SUM.pack(zlib.crc32(head if has_sum else head + state)) + head + state
 
 
-def unpacked(session: str, saved: bytes, *, has_sum: bool) -> tuple[bytes, ClockFacts, int, bytes]:
-    """Return owner, clock, number and state.
+def unpacked(
+    session: str, saved: bytes, *, has_sum: bool
+) -> tuple[bytes, ClockFacts, int, bytes, bytes]:
+    """Return owner, clock, number, notes and state.
 
     Raises:
         UsageError: The bytes are no saved session, or damaged.
     """
     if type(saved) is not bytes:
         UsageError.reject(f"{session}: restore", saved, bytes, "what save has returned")
-    head, state = saved[_SUM.size : _BEGIN], saved[_BEGIN:]
-    if len(head) < _HEAD.size:
+    if len(saved) < _BEGIN:
         raise damaged(session)
-    form, owner, now, first, length, count, number = _HEAD.unpack(head)
-    same_sum = _SUM.unpack_from(saved)[0] == zlib.crc32(head if has_sum else head + state)
+    form, owner, now, first, length, count, number, size = _HEAD.unpack_from(saved, _SUM.size)
+    begin = _BEGIN + size
+    same_sum = _SUM.unpack_from(saved)[0] == zlib.crc32(
+        saved[_SUM.size : begin] if has_sum else saved[_SUM.size :]
+    )
     if form != _FORMAT or not same_sum:
         raise damaged(session)
-    return owner, (now, first, length, count), number, state
+    return owner, (now, first, length, count), number, saved[_BEGIN:begin], saved[begin:]
 
 
 def damaged(session: str) -> UsageError:

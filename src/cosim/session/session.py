@@ -12,17 +12,18 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
-from cosim.fmi.run.instance import by_name, initialize, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, lost_state, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
-from cosim.session.linearizer import Linearizer, LinearSystem
+from cosim.session.linearizer import Linearizer, LinearSystem, with_present_sides
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
-from cosim.session.saved import ClockFacts, damaged, packed, unpacked
+from cosim.session.saved import ClockFacts, damaged, notes_of, packed, take_notes, unpacked
 from cosim.session.values import Values, finite, inputs_of, plain_value
 from cosim.trajectory import Event
 
@@ -105,7 +106,6 @@ class Session(Life):
         finally:
             self._used = True
         self._clock = Clock(experiment.startTime, experiment.startTime)
-        self._begun = experiment.startTime, tuple(self._events)
         self._phase = Phase.RUNNING
 
     def _renew(self) -> None:
@@ -143,8 +143,6 @@ class Session(Life):
         self._reject_copy([self._description.coSimulation], serializes=self._serializes)
         other = Session(self._file, self._start_values, self._experiment, self._dae)
         other.restore(self.save())
-        other._events[:] = self._events
-        other._instance.violations[:] = self._instance.violations
         return other
 
     # -- running ------------------------------------------------------------------------------
@@ -215,6 +213,8 @@ class Session(Life):
     ) -> None:
         """Set inputs, or parameters that may change during a run.
 
+        What they switch, such as a limit in an output, is switched by the next step.
+
         Args:
             values: Values by name, or of all `inputs` in their order, (n,).
             named: Numbers, or texts with a unit, by name.
@@ -276,8 +276,11 @@ class Session(Life):
             content = self._states.save()
         else:
             place = self._states.keep()
+        notes = b""
+        if self._events or self._instance.violations:
+            notes = notes_of([self._instance])
         clock = self._clock.facts
-        return packed(self._owner, clock, place, content, has_sum=self._file.is_own)
+        return packed(self._owner, clock, place, notes, content, has_sum=self._file.is_own)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; also after a failure or the end of the run.
@@ -286,7 +289,7 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        clock, place, content = self.checked_state(saved)
+        clock, place, notes, content = self.checked_state(saved)
         if self._serializes:
             if not self._states.restore(content):
                 self._instance.log_texts.clear()
@@ -294,28 +297,24 @@ class Session(Life):
         else:
             self._states.go_back(place)
         self._clock = Clock(*clock)
-        start, first = self._begun
-        self._events[:] = first if self.time == start else ()
-        violations = self._instance.violations
-        if violations:
-            violations[:] = [one for one in violations if one.time <= self.time]
+        take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes]:
-        """Return clock, number and bytes of a saved state that is one of this session.
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
+        """Return clock, number, notes and bytes of a saved state that is one of this session.
 
         Raises:
             UsageError, FmuError: See `restore`.
         """
         if self._phase is not Phase.RUNNING:
             self._reject_closed()
-        owner, clock, place, content = unpacked(self.name, saved, has_sum=self._file.is_own)
+        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if not self._serializes and place >= len(self._states.saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-        return clock, place, content
+        return clock, place, notes, content
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
@@ -333,6 +332,7 @@ class Session(Life):
             UnknownName: An output does not exist.
             UsageError: The model has samples, an input is no real number.
             FmuError: The FMU has no directional derivatives, or they have no value here.
+            InitialConditionError: A derivative of a model is another one on each side of the state.
         """
         self._require()
         key = tuple(outputs) if isinstance(outputs, list) else outputs
@@ -344,7 +344,11 @@ class Session(Life):
             )
             self._linearizers[found.outputs if key is not None else None] = found
         self._check(found.evaluate(), "GetDirectionalDerivative")
-        return found.system()
+        linear = found.system()
+        if self._dae is None:
+            return linear
+        columns = {"states": self.states, "inputs": self.inputs}
+        return with_present_sides(self._dae, linear, found.outputs, self.time, self.get, **columns)
 
     def _reject_samples(self) -> None:
         if self._dae is not None and any(event.sampled for event in self._dae.events):

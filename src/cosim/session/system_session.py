@@ -24,7 +24,8 @@ from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import access_to, by_name, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import access_to, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed
@@ -32,7 +33,7 @@ from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
-from cosim.session.saved import ClockFacts, packed, unpacked
+from cosim.session.saved import ClockFacts, notes_of, packed, take_notes, unpacked
 from cosim.session.values import finite, may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
 
@@ -115,8 +116,6 @@ class SystemSession(Life):
             with interruptible(coupling_library()) as interrupts:
                 run.begin()
         self._answer(interrupts)
-        parts = self._instances.parts.values()
-        self._first = settings.start, [tuple(part.instance.logged_events) for part in parts]
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Return start values by part and variable, checked."""
@@ -130,13 +129,10 @@ class SystemSession(Life):
         """
         self._require()
         parts = self._instances.parts
-        abilities = (part.description.coSimulation for part in parts.values())
+        abilities = (part.abilities for part in parts.values())
         self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
-        for name, part in other._instances.parts.items():
-            part.instance.logged_events[:] = parts[name].instance.logged_events
-            part.instance.violations[:] = parts[name].instance.violations
         return other
 
     # -- running ------------------------------------------------------------------------------
@@ -144,7 +140,7 @@ class SystemSession(Life):
     @property
     def invalid(self) -> str | None:
         """The first validity condition that a step violated, and since when; None if none did."""
-        found = violations(self._instances.wiring, self._run.parts)
+        found = violations(self._instances.wiring)
         return min(found, key=attrgetter("time"), default=None)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
@@ -317,11 +313,12 @@ class SystemSession(Life):
             content += states.write()
         else:
             place = states.keep()
-        return packed(self._saver, self._clock.facts, place, content, has_sum=False)
+        notes = notes_of([part.instance for part in self._instances.parts.values()])
+        return packed(self._saver, self._clock.facts, place, notes, content, has_sum=False)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
-        clock, place, content = self.checked_state(saved)
+        clock, place, notes, content = self.checked_state(saved)
         self._phase = Phase.FAILED
         size, states = 8 * self._run.numbers(None), self._states
         if states.serializes:
@@ -330,15 +327,13 @@ class SystemSession(Life):
             states.go_back(place)
         self._run.numbers(np.frombuffer(content[:size]).copy(), back=True)
         self._clock = Clock(*clock)
-        start, events = self._first
-        for part, own in zip(self._instances.parts.values(), events, strict=True):
-            part.instance.logged_events[:] = own if self.time == start else ()
+        take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes]:
-        """Return clock, number and bytes of a saved state; see `Session.checked_state`."""
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
+        """Return clock, number, notes and bytes of a saved state; see `Session.checked_state`."""
         self._reject_closed()
-        owner, clock, place, content = unpacked(self.name, saved, has_sum=False)
+        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
         for name, part in self._instances.parts.items():
@@ -351,7 +346,7 @@ class SystemSession(Life):
                 f"{self.name}: these bytes were saved by another session or system, or with "
                 "another macro_step"
             )
-        return clock, place, content
+        return clock, place, notes, content
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UnknownName, UsageError
-from cosim.fmi.run.instance import by_name, unit_of
+from cosim.fmi.run.description import by_name, unit_of
 from cosim.fmi.run.typed_values import is_number, typed_value
 from cosim.fmi.units import units_for
 from cosim.model.quantities import quantity

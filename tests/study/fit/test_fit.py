@@ -171,17 +171,34 @@ def test_several_starts_find_the_frequency_that_one_misses():
     assert fit(dae, wave, {"w": (1.0, 40.0)}, starts=16).values["w"] == pytest.approx(20, abs=1e-6)
 
 
-def test_value_at_its_bound_is_named():
-    found = fit(DECAY, noisy(6), {"k": (0.1, 1.0), "x": None})
+def test_errors_beside_a_value_at_its_bound_are_those_with_this_value_known():
+    """With k = 1, x is found from one linear equation: the error is sigma / |exp(-t)|."""
+    measured, shape = noisy(6), np.exp(-TIMES)
+    found = fit(DECAY, measured, {"k": (0.1, 1.0), "x": None})
     assert found.values["k"] == pytest.approx(1.0, rel=1e-5)
-    assert any(note.startswith("k ends at its bound 1") for note in found.notes)
+    assert found.notes[0].startswith("k ends at its bound 1 and has no error")
+    x = shape @ measured["x"] / (shape @ shape)
+    left = np.linalg.norm(measured["x"] - x * shape)
+    error = left / np.sqrt((len(TIMES) - 1) * (shape @ shape))
+    assert found.errors["x"] == pytest.approx(error, rel=1e-4)  # before: 1.7 times as large
+    half = 2.02108 * error  # Student's quantile of 40 degrees
+    assert found.intervals["x"] == pytest.approx((x - half, x + half), rel=1e-4)
+    assert np.isnan([found.errors["k"], *found.intervals["k"], found.correlation[0, 1]]).all()
+    assert "nan" not in repr(found)
+    assert found.rank == 1
+
+
+def test_value_at_its_bound_that_the_measurements_do_not_show_is_not_identified():
+    found = fit(DECAY, noisy(1), {"k": None, "idle": (0.0, 1.0, 1.0 + 1e-9)}, start_values={"x": 3})
+    assert found.unidentified == ("not identified: idle (the measurements do not depend on it)",)
+    assert found.errors["idle"] == np.inf
 
 
 def test_the_bound_itself_is_named_although_the_value_ends_beside_it():
     """A constant is fitted best by the rate 0, where the least squares end close to the bound."""
     found = fit(DECAY, record({"x": np.ones_like(TIMES)}), {"k": (0.0, 0.5, 10.0)})
     assert found.values["k"] == pytest.approx(0, abs=1e-6)  # measured 2e-7
-    assert found.notes == ("k ends at its bound 0; its interval does not count",)
+    assert [note[:23] for note in found.notes] == ["k ends at its bound 0 a"]
 
 
 def test_rate_of_what_stays_at_zero_is_not_identified():

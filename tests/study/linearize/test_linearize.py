@@ -150,6 +150,16 @@ def test_fmu_is_linearized_at_its_initial_state_only(tmp_path):
         linearize(path, start_values={"alphaa": 1.0})
 
 
+def test_fmu_of_a_steep_law_without_slope_has_a_linear_system(tmp_path):
+    """The slopes of 1e6 x^2 and 1e9 |x|^1.5 are 0 at 0, although they are large beside it."""
+    model = Model("steep", stop_time=1.0)
+    x, y = model.state("x", "1", 0.0, "state"), model.state("y", "1", 0.0, "state")
+    model.derivative(x, 1e6 * x**2)
+    model.derivative(y, -1e9 * ca.fabs(y) ** 1.5)
+    found = linearize(cosim.export_fmu(model.freeze(), tmp_path / "steep.fmu"))
+    assert found.A.tolist() == [[0, 0], [0, 0]]
+
+
 def test_fmu_with_structured_names_has_each_variable_once(tmp_path):
     dae = cosim.load("crank_shaft/driven")
     path = cosim.export_fmu(dae, tmp_path / "crank.fmu", names="structured")

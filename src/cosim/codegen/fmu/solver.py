@@ -34,7 +34,7 @@ def solver_for(dae: Dae, wanted: str | None) -> str:
         decays = fastest_decay(dae) * dae.experiment.output_interval
         return ROSENBROCK if decays > STIFF else DOP853
     if wanted not in (known := (*CO_SIMULATION_SOLVERS, *FIXED_STEPS)):
-        raise UnknownName.among("cosim export", "solver", wanted, known)
+        raise UnknownName(f"an FMU has no solver '{wanted}'; choose one of {', '.join(known)}")
     if wanted == ERK and dae.algebraics:
         raise UsageError(
             f"{dae.full_name} has algebraic unknowns, which erk cannot solve for; use dop853 "

@@ -13,7 +13,7 @@ import numpy as np
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.expressions import at_irregular_place
 from casadi_models.dae.hybrid import hybrid
-from casadi_models.units import UNITS, Unit
+from casadi_models.units import UNITS, Unit, quotient_name
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
@@ -169,7 +169,7 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
     for name, known in UNITS.items():
         if known == Unit(rate.factor, known.base) and known.measures_like(rate):
             return name, known
-    return f"{unit}/s", rate
+    return quotient_name(unit, "s"), rate
 
 
 def with_margins(dae: Dae, *, valid: bool) -> Dae:

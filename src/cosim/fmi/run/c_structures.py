@@ -11,7 +11,8 @@ from cosim.arrays import Vector
 from cosim.codegen.c_fields import fields
 from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
-from cosim.fmi.run.instance import getter_name, is_second
+from cosim.fmi.run.description import is_second
+from cosim.fmi.run.instance import getter_name
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
 KINDS: dict[str, Any] = {

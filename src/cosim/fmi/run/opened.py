@@ -22,16 +22,13 @@ from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
+from cosim.fmi.run.description import Interface, asks_for_inputs, choose_interface, read_description
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
-    Interface,
-    asks_for_inputs,
-    choose_interface,
     enter_continuous_time,
     initialize,
     instantiated,
     invalidity,
-    read_description,
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python
@@ -131,7 +128,9 @@ class OpenedFmu:
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
-            _reject_not_finite(found, request, lost_state(instance, self.description)())
+            lost = lost_state(instance, self.description)()
+            instance.terminate()  # after which some FMUs have no values
+            _reject_not_finite(found, request, lost)
         except BaseException as error:
             self._drop()  # its state is unknown
             if isinstance(error, Exception) and not isinstance(error, MissingTool):
@@ -244,7 +243,7 @@ class CompiledMaster:
         self._calls = Calls(instance, description)
 
     def run(self, request: FmuRequest) -> MasterRun:
-        """Initialize the FMU and run it.
+        """Initialize the FMU and run it; it is not terminated yet.
 
         Raises:
             FmuError: A call failed, or the FMU stopped without ending the run.
@@ -287,7 +286,6 @@ class CompiledMaster:
                 deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
             deviations.note(run.time)
             deviations.judge(run.steps)
-        instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
         if run.how == Ending.ENDED_BY_FMU:

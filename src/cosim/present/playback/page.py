@@ -22,8 +22,10 @@ from cosim.colors import CURVES, INVALID_BODY
 from cosim.drawing.camera import (
     HALF_ANGLE,
     LONGEST_ARROW,
+    NOTHING,
     OUTWARD,
     PEAK,
+    USUAL,
     Scale,
     View,
     camera_for,
@@ -117,8 +119,10 @@ def _facts(
     labels = [name for name, _, _ in first.labels]
     columns = runs[0].columns
     names = [column.name for column in columns]
-    spans = np.ptp(runs[0].values, axis=0)
-    moving = [i for i, span in enumerate(spans) if span > 0]
+    values = runs[0].values
+    spans = np.ptp(values, axis=0)
+    _, own = np.unique(values, axis=1, return_index=True)  # an input equals what it is connected to
+    moving = [int(i) for i in sorted(own) if spans[i] > 0]
     similar = [i for i in moving if columns[i].unit == columns[moving[0]].unit
              and spans[i] < _SIMILAR * spans[moving[0]]]  # fmt: skip
     chosen = [names.index(name) for name in labels] or similar[:_CURVES_AT_FIRST]
@@ -147,6 +151,8 @@ def _facts(
         "framed": _outermost(scale.points),
         "longest": LONGEST_ARROW * scale.pose,
         "peak": PEAK,
+        "usual": USUAL,
+        "nothing": NOTHING,
         "floor": float((scale.points @ up).min()),
         "colors": CURVES,
         "invalid_color": INVALID_BODY,

@@ -126,7 +126,7 @@ def fit(
     if best is None:
         raise SolverError(f"{subject.name}: the run failed with every one of {starts} starts")
     notes = [f"the run failed with {failed} of {starts} starts"] if failed else []
-    freedom = problem.samples - len(unknowns.names)
+    freedom = problem.samples - int(best.free.sum())
     degrees = np.inf if noise is not None else freedom
     reach = float(stats.t.ppf((1 + confidence) / 2, degrees))
     return problem.result(best, confidence, reach, notes)
@@ -134,9 +134,19 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """The result of one minimization: scaled values, cost, Jacobian, and noise by output."""
+    """The result of one minimization.
+
+    Attributes:
+        x: Scaled values.
+        free: Which of them no bound stops.
+        cost: What other minimizations are compared by.
+        jacobian: Derivatives of the weighted residuals.
+        noise: By output.
+        success, message: Of the minimizer.
+    """
 
     x: Vector
+    free: Truths
     cost: float
     jacobian: Vector
     noise: Vector
@@ -221,9 +231,10 @@ class _Problem:
         x, bounds = start / sizes, (self.unknowns.low / sizes, self.unknowns.high / sizes)
         self.residuals(x)  # a run that fails at the start is an error
         again = estimated and (len(self.names) > 1 or loss != "linear")  # weights matter
+        free = np.ones(len(x), dtype=bool)
         if estimated:
             minimum = EPS * noise
-            noise = np.fmax(self._estimated(self.residuals(x), loss), minimum)
+            noise = np.fmax(self._estimated(self.residuals(x), loss, free), minimum)
         for _ in range(REWEIGHTINGS):
             found = minimize(
                 lambda x, weights=1 / noise[places]: self._or_infinite(x) * weights,
@@ -236,15 +247,22 @@ class _Problem:
                 ftol=TOLERANCE,
                 gtol=TOLERANCE,
             )
-            x = found.x
+            x, free = found.x, self._free(found.x, found.grad)
             if not estimated:
                 break
-            last, noise = noise, np.fmax(self._estimated(self.residuals(x), loss), minimum)
+            last, noise = noise, np.fmax(self._estimated(self.residuals(x), loss, free), minimum)
             if not again or np.all(np.abs(noise - last) <= SETTLED * last):
                 break
         cost = float(np.log(noise[places]).sum()) if estimated else float(found.cost)
         jacobian = self.slopes(x) / noise[places][:, None]
-        return _Solution(x, cost, jacobian, noise, bool(found.success), str(found.message))
+        return _Solution(x, free, cost, jacobian, noise, bool(found.success), str(found.message))
+
+    def _free(self, x: Vector, slope: Vector) -> Truths:
+        """Tell which scaled values are not at a bound that the slope of the cost leads beyond."""
+        low, high = (ends / self.unknowns.sizes for ends in (self.unknowns.low, self.unknowns.high))
+        near = 1e-6 * np.fmin(high - low, 1.0)
+        found: Truths = ~(((x - low <= near) & (slope > 0)) | ((high - x <= near) & (slope < 0)))
+        return found
 
     def _or_infinite(self, x: Vector) -> Vector:
         """Return the residuals; infinity where the run fails, so that the step is shortened."""
@@ -253,9 +271,9 @@ class _Problem:
         except (SolverError, InitialConditionError):
             return np.full(self.samples, np.inf)
 
-    def _estimated(self, residuals: Vector, loss: str) -> Vector:
+    def _estimated(self, residuals: Vector, loss: str, free: Truths) -> Vector:
         """Return the standard deviation of the residuals of each output, (outputs,)."""
-        share = 1 - len(self.unknowns.names) / self.samples  # of the degrees of freedom
+        share = 1 - free.sum() / self.samples  # of the degrees of freedom
         found = np.empty(len(self.names))
         for i in range(len(self.names)):
             own = residuals[self.outputs == i]
@@ -266,18 +284,24 @@ class _Problem:
         return found
 
     def result(self, best: _Solution, confidence: float, reach: float, notes: Sequence[str]) -> Fit:
-        """Return the values with their confidence, and what is not identified."""
-        sizes = self.unknowns.sizes
+        """Return the values with their confidence, and what is not identified.
+
+        Values at a bound count as known.
+        """
+        sizes, free = self.unknowns.sizes, best.free
         ends = np.abs(best.x)
         relative = np.where(ends <= EPS, 1.0, ends)  # scales of the final values
-        _, singular, rows = np.linalg.svd(best.jacobian * relative, full_matrices=True)
+        jacobian = (best.jacobian * relative)[:, free]
+        _, singular, rows = np.linalg.svd(jacobian, full_matrices=True)
         rank = int((singular > RANK * singular.max(initial=0.0)).sum())
         identified = rows[:rank].T / np.where(rank, singular[:rank], 1.0)
-        covariance = identified @ identified.T
+        own = identified @ identified.T
         lost = rows[rank:]
         unknown = (np.abs(lost) > RANK).any(axis=0)
-        covariance[unknown] = covariance[:, unknown] = np.nan
-        covariance[np.diag_indices(len(sizes))] = np.where(unknown, np.inf, np.diag(covariance))
+        own[unknown] = own[:, unknown] = np.nan
+        own[np.diag_indices(len(own))] = np.where(unknown, np.inf, np.diag(own))
+        covariance = np.full((len(sizes), len(sizes)), np.nan)
+        covariance[np.ix_(free, free)] = own
         scales = relative * sizes
         values = [self.values(best.x, i) for i in range(len(self.records))]
         runs = tuple(
@@ -291,7 +315,7 @@ class _Problem:
             confidence=confidence,
             reach=reach,
             rank=rank,
-            unidentified=self._not_identified(rank, lost),
+            unidentified=self._not_identified(free, lost),
             notes=(*notes, *self._late(), *self._at_bounds(best)),
             noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
             samples=self.samples,
@@ -302,15 +326,12 @@ class _Problem:
             subject=self.subject,
         )
 
-    def _not_identified(self, rank: int, lost: Vector) -> tuple[str, ...]:
-        """Return sentences on combinations that change no residual, (combinations, unknowns)."""
+    def _not_identified(self, free: Truths, lost: Vector) -> tuple[str, ...]:
+        """Return sentences on combinations that change no residual, (combinations, free ones)."""
         if not len(lost):
             return ()
-        names = [
-            name
-            for name, share in zip(self.unknowns.names, np.abs(lost).max(axis=0), strict=True)
-            if share > SHARE
-        ]
+        places = np.flatnonzero(free)[np.abs(lost).max(axis=0) > SHARE]
+        names = [self.unknowns.names[place] for place in places]
         if len(names) == len(lost):
             return (f"not identified: {', '.join(names)} (the measurements do not depend on it)",)
         left = len(names) - len(lost)
@@ -331,13 +352,11 @@ class _Problem:
     def _at_bounds(self, best: _Solution) -> list[str]:
         low, high = self.unknowns.low, self.unknowns.high
         x = best.x * self.unknowns.sizes
-        near = 1e-6 * np.fmin(high - low, self.unknowns.sizes)
-        at = np.minimum(x - low, high - x) <= near
         bounds = np.where(x - low <= high - x, low, high)
         found = [
-            f"{name} ends at its bound {bound:.6g}; its interval does not count"
-            for name, bound, is_there in zip(self.unknowns.names, bounds, at, strict=True)
-            if is_there
+            f"{self.unknowns.names[place]} ends at its bound {bounds[place]:.6g} and has no error; "
+            "those of other values hold for this one"
+            for place in np.flatnonzero(~best.free)
         ]
         return found if best.success else [f"the fit did not converge: {best.message}", *found]
 

@@ -30,7 +30,8 @@ class Fit:
     Attributes:
         columns: The fitted variables: name, unit, meaning.
         x: Their values, SI, (n,).
-        covariance: Covariance of the values, (n, n); infinite for what is not identified.
+        covariance: Covariance of the values, (n, n); infinite for what is not identified, NaN for
+            a value that ends at its bound, with which those of the others hold.
         confidence: Probability that an interval contains the value.
         reach: Half an interval in standard errors.
         rank: Number of combinations of the values that the measurements identify.
@@ -86,7 +87,7 @@ class Fit:
 
     @property
     def correlation(self) -> Vector:
-        """Correlation of the values, (n, n); NaN for what is not identified."""
+        """Correlation of the values, (n, n); NaN for what is not identified or at its bound."""
         sizes = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             found: Vector = self.covariance / sizes / sizes[:, None]
@@ -170,13 +171,14 @@ class Fit:
             low, high = self.intervals[column.name]
             numbers = np.array([value, self.errors[column.name], low, high])
             shown, error, low, high = (float(number) for number in column.shown(numbers))
+            known = not np.isnan(error)  # a value at its bound has no error
             found.append(
                 {
                     "name": column.name,
                     "value": f"{shown:.6g}",
-                    "error": error,
-                    f"{self.confidence:.3g} from": f"{low:.6g}",
-                    "to": f"{high:.6g}",
+                    "error": error if known else None,
+                    f"{self.confidence:.3g} from": f"{low:.6g}" if known else None,
+                    "to": f"{high:.6g}" if known else None,
                     "unit": column.shown_unit,
                 }
             )

@@ -64,7 +64,7 @@ def local_system(
     Raises:
         InitialConditionError: There is no derivative, or another one on each side.
     """
-    own, u, edges = followed(_with_kinks_of(dae, names), time, x, values)
+    own, u, edges = followed(with_kinks_of(dae, names), time, x, values)
     here = replace(values, u=u)
     rates, outputs, jacobian = at_point(own, names, time, x, here)
     n = len(x) + len(values.u)
@@ -100,7 +100,7 @@ def local_system(
 
 
 @cached_per_thread(8)
-def _with_kinks_of(dae: Dae, names: tuple[str, ...]) -> Dae:
+def with_kinks_of(dae: Dae, names: tuple[str, ...]) -> Dae:
     """Return the model in which relations of some outputs have modes, too."""
     return replace(dae, driving=(*dae.driving, *names))
 

@@ -10,20 +10,23 @@ import numpy as np
 from cosim.arrays import Truths, Vector
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.instance import (
-    by_name,
-    choose_interface,
-    enter_continuous_time,
-    initialize,
-    instantiated,
-    read_description,
-)
+from cosim.fmi.run.description import by_name, choose_interface, read_description
+from cosim.fmi.run.instance import enter_continuous_time, initialize, instantiated
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.fmi.run.typed_values import is_number
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.local import SAME, reject_no_number, rounding
+from cosim.study.linearize.local import (
+    JUMP,
+    LEAST_JUMP,
+    SAME,
+    TRIALS,
+    reject_no_number,
+    rounding,
+)
 
 POINT = "the initial state of an FMU"
+BESIDE = 1e-9  # distance of states on both sides of another one, in their sizes
+NEARER = 0.01  # share of it, at which a jump is as large
 LATER = (0.0271828, 0.314159)  # times of a run, of its span, that fit to no period
 
 
@@ -69,6 +72,8 @@ def linearized_fmu(
                 noise = _noise(instance, rates, states, x, jacobian)
                 square = jacobian[: len(rates), : len(states)]
                 _reject_course(instance, description, square, noise, states, rates)
+                if np.isfinite(jacobian).all():
+                    _reject_corner(instance, description, jacobian, unknowns, (states, inputs))
             except FmuError:
                 raise
             except Exception as error:
@@ -89,7 +94,7 @@ def linearized_fmu(
         u=u,
         y=y,
         rates=slopes,
-        nominal=np.array([float(v.nominal or 1.0) for v in states]),
+        nominal=_nominals(states),
         point=POINT,
     )
 
@@ -113,7 +118,7 @@ def _noise(
     instance: Any, rates: Sequence[Any], states: Sequence[Any], x: Vector, jacobian: Vector
 ) -> Vector:
     """Return what rounding leaves open in the derivatives of the rates by the states."""
-    nominal = np.array([float(v.nominal or 1.0) for v in states])
+    nominal = _nominals(states)
 
     def at(place: Vector) -> Vector:
         instance.setContinuousStates((c_double * len(place))(*place), len(place))
@@ -149,6 +154,60 @@ def _reject_course(
                 "at the start, so that no eigenvalues tell whether the motion is stable; linearize "
                 "the model itself, which gives the multipliers of periodic motions"
             )
+
+
+def _reject_corner(
+    instance: Any,
+    description: Any,
+    here: Vector,
+    unknowns: Sequence[Any],
+    groups: tuple[Sequence[Any], Sequence[Any]],
+) -> None:
+    """Raise FmuError if a derivative is another one on some side of the state.
+
+    An FMU takes a side of what switches in event mode.
+
+    Args:
+        instance, description: The FMU.
+        here: Derivatives of the unknowns by states and inputs.
+        unknowns: Rates and outputs, fmpy's variables.
+        groups: States, and inputs.
+    """
+    states, inputs = groups
+    knowns, n = (*states, *inputs), len(states)
+    reals = [v for v in inputs if v.type in ("Real", "Float64")]
+    sizes, x = _nominals(knowns), _values(instance, knowns)
+    shift = BESIDE * np.fmax(sizes, np.abs(x))
+    scale = sizes / np.concatenate((sizes[:n], _nominals(unknowns[n:])))[:, None]
+    least = np.fmax(JUMP * (np.abs(here) * scale).max(axis=1, initial=0.0), LEAST_JUMP)
+
+    def move(place: Vector) -> None:
+        instance.setContinuousStates((c_double * n)(*place[:n]), n)
+        values = dict(zip((v.name for v in inputs), place[n:].tolist(), strict=True))
+        for v in reals:
+            instance.setFloat64([v.valueReference], [values[v.name]])
+
+    def change(place: Vector) -> Vector:
+        move(place)
+        instance.enterEventMode()
+        enter_continuous_time(instance)
+        move(place)  # an event may have changed it
+        return np.abs(_jacobian(instance, unknowns, knowns) - here) * scale
+
+    directions = np.random.default_rng(0).uniform(-1, 1, (TRIALS, len(x)))
+    for way in (side * shift * d for d in directions for side in (1, -1)):
+        far, near = (change(x + share * way) for share in (1.0, NEARER))
+        jumps = ~(near <= np.fmax(least[:, None], far / 2))  # what is smooth becomes less
+        for i, j in np.argwhere(jumps)[:1]:
+            raise FmuError(
+                f"{description.modelName}: {unknowns[i].name} has another derivative with respect "
+                f"to {knowns[j].name} beside {POINT}, so that there is no linear system; choose "
+                "another state"
+            )
+
+
+def _nominals(variables: Sequence[Any]) -> Vector:
+    return np.array([float(v.nominal or 1.0) for v in variables])
 
 
 def _depends(description: Any, states: Sequence[Any]) -> Truths:

@@ -6,6 +6,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from casadi_models.units import quotient_name
 from cosim.arrays import Vector
 from cosim.errors import UnknownName
 from cosim.trajectory import Column, Trajectory
@@ -88,7 +89,7 @@ class Sensitivity:
         columns = tuple(
             Column(
                 f"d_{column.name}_d_{target.name}",
-                f"{column.unit}/({target.unit})",
+                quotient_name(column.unit, target.unit),
                 nominal=column.nominal / target.nominal,
                 meaning=f"derivative of {column.name} by {target.name}",
             )
@@ -120,7 +121,7 @@ class Sensitivity:
                         "largest": float(self.values[at, i, j]),
                         "at": float(self.run.time[at]),
                         "at the end": float(self.values[-1, i, j]),
-                        "unit": f"{column.unit}/({self.targets[j].unit})",
+                        "unit": quotient_name(column.unit, self.targets[j].unit),
                     }
                 )
         return rows

@@ -158,9 +158,10 @@ class Actor {
         most[i] = Math.max(most[i], Math.hypot(...triple(run, i, base + k * LOAD + 3)));
     });
     for (const load of data.loads) {
-      const acting = sizes.get(load.unit).filter((size) => size > 0).sort();
-      const usual = acting.length ? acting[acting.length >> 1] : Infinity;
-      load.per_unit = data.longest / Math.min(acting[acting.length - 1] || Infinity, data.peak * usual);
+      const all = sizes.get(load.unit), most = all.reduce((a, b) => (b > a ? b : a), 0);
+      const acting = all.filter((size) => size > data.nothing * most).sort();
+      const usual = acting[Math.floor(data.usual * (acting.length - 1))] || Infinity;
+      load.per_unit = data.longest / Math.min(most || Infinity, data.peak * usual);
     }
   }
 
