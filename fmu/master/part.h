@@ -131,7 +131,8 @@ static inline int part_restore(Fmu *fmu, Part *self) {
 }
 
 static inline void part_forget(Part *self) {
-    if (self->saved) self->call->free_fmu_state(self->call->stepper, &self->saved);
+    const Functions *call = self->call;
+    if (self->saved && !*call->is_fatal) call->free_fmu_state(call->stepper, &self->saved);
 }
 
 /* Writes a row of what the part records. */

@@ -224,12 +224,9 @@ class StateCalls:
         self.saved.append(state)
         return len(self.saved) - 1
 
-    def go_back(self, number: int) -> bool:
-        """Set the state of a number; return whether there is one."""
-        if number >= len(self.saved):
-            return False
+    def go_back(self, number: int) -> None:
+        """Set the state of a number."""
         self._call(self._put, self._instance, self.saved[number])
-        return True
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:
@@ -240,7 +237,7 @@ def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -
         free: The C function.
         saved: Pointers to the states.
     """
-    if getattr(instance, "is_fatal", False):
+    if instance.fatal.value:
         return
     for state in saved:
         if state.value:

@@ -156,7 +156,10 @@ class Calls:
             if (name := names[version - 2]) is not None
         }
         own = instance.component
-        self.functions = Functions(version=version, instance=own, stepper=own, **found)
+        fatal = ctypes.addressof(instance.fatal)
+        self.functions = Functions(
+            version=version, instance=own, stepper=own, is_fatal=fatal, **found
+        )
         self._recorded: dict[tuple[Any, ...], Recorded] = {}
 
     def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:

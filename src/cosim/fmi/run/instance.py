@@ -241,6 +241,7 @@ def _instance(folder: Path, description: Any, kind: Interface, key: int, **callb
         unzipDirectory=str(folder),
         instanceName=None,
     )
+    instance.fatal = ctypes.c_longlong()
     if not is_second(description):
         instance.instantiate(loggingOn=True, logMessage=_LOGS[key], **callback)
         return instance
@@ -269,14 +270,14 @@ def _checked_class(second: bool, exchange: bool) -> type:
         try:
             result = base._call(self, function, *arguments)
         except FMICallException as error:
-            self.is_fatal = error.status == _FATAL
+            self.fatal.value |= error.status == _FATAL
             raise
         if isinstance(result, int) and result < 0:
             raise FmuError(f"{function} returned {result}, which is no status of the FMI")
         return result
 
     def free(self: Any) -> None:
-        if not getattr(self, "is_fatal", False):
+        if not self.fatal.value:
             base.freeInstance(self)
 
     def step_as_in_fmi_3(self: Any, time: float, size: float) -> tuple[bool, bool, bool, float]:

@@ -76,6 +76,7 @@ class OpenedFmu:
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
         self._master: CompiledMaster | None = None
+        self._is_spoilt = False  # whether nothing of the library may be called any more
 
     def contains(self, name: str) -> bool:
         """Tell whether there is a file of this name in it."""
@@ -171,10 +172,13 @@ class OpenedFmu:
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
         """Return an instance, fresh or reset, and a function that adds its log to an error.
 
-        What it has logged before is forgotten.
+        What it has logged before is forgotten. After a fatal error it is of another copy of the
+        library, as nothing of that one may be called.
         """
-        if not self.reset_is_enough:
+        if not self.reset_is_enough or (self._instance and self._instance[0].fatal.value):
             self._drop()
+        if self._is_spoilt:
+            self._folder, self._is_spoilt = self._open.enter_context(unpacked(self.path)), False
         if self._instance is None:
             facts = (self._folder, self.description, self.interface, self.path)
             self._instance = self._live.enter_context(instantiated(*facts, **self.callback))
@@ -191,6 +195,7 @@ class OpenedFmu:
         return instance, explained
 
     def _drop(self) -> None:
+        self._is_spoilt |= bool(self._instance and self._instance[0].fatal.value)
         self._live.close()
         self._instance = self._master = None
 
