@@ -434,3 +434,13 @@ def test_value_that_a_type_does_not_have_is_rejected(name, value, copies, tmp_pa
         part.advance(0.1)
         assert np.all(part[name] == 1)
         part.set({name: 3.0 if name == "count_in" else 1.0})
+
+
+def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
+    toml = tmp_path / "shafts.toml"
+    toml.write_text("[parts]\na = 'crank_shaft'\n[start_values]\n'a.omega' = 10.0\n")
+    with cosim.open(toml) as session:
+        session.advance(to=1.0)  # alpha is 10 rad/s2
+        assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
+    with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
+        cosim.open(toml, macro_step=0.01)
