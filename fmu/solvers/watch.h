@@ -192,6 +192,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
     Switching *s = self->watch->switching;
     Place before = *begin, place;
     ++s->rounded;
+    self->proven = false; /* that of the step before */
     self->proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;
     *found = (Crossing){end->t, -1, end->t};
