@@ -44,8 +44,8 @@ static unsigned settable(const Instance *self, const VariableInfo *variable) {
 /* What is stale once a variable is set: start values may follow from any, up to the end of
    initialization. */
 static unsigned dependents(const Instance *self) {
-    const bool starting = self->state.mode & (INSTANTIATED | INITIALIZATION_MODE);
-    return starting ? EVERYTHING : AFTER_START;
+    if (self->state.mode & (INSTANTIATED | INITIALIZATION_MODE)) return EVERYTHING;
+    return self->state.mode == STEP_MODE ? AFTER_START | SIDES : AFTER_START;
 }
 
 static const char *role_name(Role role) {
@@ -146,6 +146,7 @@ static Status set_values(Instance *self, const Reference references[], size_t co
     const bool runs = !(self->state.mode & (INSTANTIATED | INITIALIZATION_MODE));
     const bool retuned = changes_parameters(self, references, count, values);
     double behind[ROOM(EVENTS)];
+    leave_sides(self);
     if (runs && retuned) note_samples(self, behind);
     for (size_t i = 0; i < count; i++) {
         const VariableInfo *variable = &variables[references[i]];

@@ -192,6 +192,7 @@ static Status renew(Instance *self, unsigned result) {
 /* Renew what is stale among `results` and among what they follow from. On failure, discard:
    nothing is lost, and the importer may shorten its step. */
 static Status refresh(Instance *self, unsigned results) {
+    if (results) take_sides(self);
     if (results & AFTER_START) results |= START_VALUES;
     if (results & (DERIVATIVES | OUTPUTS | JACOBIAN)) results |= ALGEBRAICS;
     for (unsigned result = START_VALUES; result <= JACOBIAN; result <<= 1) {

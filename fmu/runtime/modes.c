@@ -72,6 +72,34 @@ Status start_modes(Instance *self) {
     return refuse_ending(self, DISCARD, &found, NULL);
 }
 
+void take_sides(Instance *self) {
+    State *state = &self->state;
+    Aside *aside = &state->aside;
+    if (!(state->stale & SIDES) || state->mode != STEP_MODE || self->host.event_mode) return;
+    state->stale &= ~(uint32_t)SIDES;
+    if (state->switching.stopped > 0) return;
+    const Laws laws = laws_of(self);
+    const Point at = present(self);
+    double motion[MOST_INPUT_ORDER][ROOM(NU)], *modes = state->values + FIRST_MODE;
+    aside->known = 1;
+    aside->switching = state->switching;
+    memcpy(aside->modes, modes, MODES * sizeof *modes);
+    memcpy(motion, state->motion, sizeof motion);
+    if (state->motion_spent) memset(state->motion, 0, sizeof motion);
+    const Ending found = settle_by_value(&laws, &state->switching, &at);
+    memcpy(state->motion, motion, sizeof motion);
+    if (found.reason != GOES_ON) leave_sides(self); /* the next step tells */
+}
+
+void leave_sides(Instance *self) {
+    State *state = &self->state;
+    if (state->aside.known == 0) return;
+    state->aside.known = 0;
+    state->switching = state->aside.switching;
+    memcpy(state->values + FIRST_MODE, state->aside.modes, MODES * sizeof *state->values);
+    state->stale |= AFTER_START | SIDES;
+}
+
 Status follow_present(Instance *self) {
     const Point at = present(self);
     if (follow_at(self, &at)) return OK;

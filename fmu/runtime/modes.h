@@ -21,6 +21,12 @@ static Status refuse_ending(Instance *self, Status severity, const Ending *why,
 /* The modes of the start values. */
 static Status start_modes(Instance *self);
 
+/* In step mode, put relations on the sides that inputs and parameters require which were set since
+   the last step, as an event at the begin of the next one will; and put them back, which a step and
+   a setter do before anything else. An importer that handles events does so in event mode. */
+static void take_sides(Instance *self);
+static void leave_sides(Instance *self);
+
 /* Set the modes of relations that slide, at the present values or at a point; false where there are
    none that keep their arguments. */
 static Status follow_present(Instance *self);
@@ -46,6 +52,8 @@ static int left_between(Instance *self, const Motion *motion, double begin, doub
                         Place *found);
 #else
 #define start_modes(self) ((void)(self), OK)
+#define take_sides(self) ((void)(self))
+#define leave_sides(self) ((void)(self))
 #define follow_present(self) ((void)(self), OK)
 #define complete_step(self, severity) ((void)(self), (void)(severity), OK)
 #define get_insides(self, inside) ((void)(self), (void)(inside), OK)

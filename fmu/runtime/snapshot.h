@@ -15,7 +15,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 14 };
+enum { LAYOUT_VERSION = 15 };
 
 typedef struct {
     uint64_t magic;
@@ -96,8 +96,9 @@ static bool is_mode(const Instance *self, uint32_t mode) {
 /* Could this instance have come to hold such a state? */
 static bool plausible(const Instance *self, const State *state) {
     if (state->interface != self->state.interface || !is_mode(self, state->mode)) return false;
-    if (state->stale > EVERYTHING || state->experiment_set > 1 || state->motion_spent > 1 ||
-        state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS || state->step_status > ERROR)
+    if (state->stale > (EVERYTHING | SIDES) || state->experiment_set > 1 ||
+        state->motion_spent > 1 || state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS ||
+        state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
@@ -111,6 +112,7 @@ static bool plausible(const Instance *self, const State *state) {
     const double waits = state->switching.waits;
     if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
     if (!all_finite((const double *)&state->before, BEFORE_SIZE)) return false;
+    if (!all_finite((const double *)&state->aside, ASIDE_SIZE)) return false;
     if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
 #endif
 #if HAS_LOOKS

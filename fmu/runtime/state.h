@@ -48,6 +48,7 @@ enum {
     DERIVATIVES = 1 << 2,
     OUTPUTS = 1 << 3,
     JACOBIAN = 1 << 4,
+    SIDES = 1 << 5, /* of relations, where inputs or parameters were set between steps */
     AFTER_START = ALGEBRAICS | DERIVATIVES | OUTPUTS | JACOBIAN,
     EVERYTHING = START_VALUES | AFTER_START
 };
@@ -81,6 +82,15 @@ typedef struct {
 } Before;
 
 enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
+
+/* What the next step begins with, while results are on the sides that set values require; all of it
+   doubles. */
+typedef struct {
+    double known, modes[ROOM(MODES)]; /* known: 1 while they are */
+    Switching switching;
+} Aside;
+
+enum { ASIDE_SIZE = sizeof(Aside) / sizeof(double) };
 #endif
 
 #if HAS_LOOKS
@@ -116,6 +126,7 @@ typedef struct {
 #if HAS_EVENTS
     Switching switching;
     Before before;
+    Aside aside;
 #endif
 #if HAS_LOOKS
     Looks looks;
@@ -127,7 +138,7 @@ typedef struct {
     double steps;                  /* of communication, taken since the start */
     uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
     uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_INPUTS */
-    uint32_t stale;                /* of START_VALUES ... JACOBIAN */
+    uint32_t stale;                /* of START_VALUES ... SIDES */
     uint32_t experiment_set;       /* start time and tolerance are settled */
     uint32_t motion_spent;         /* the inputs' derivatives belong to a step that is over */
     uint32_t step_status;          /* of the last communication step */

@@ -40,7 +40,9 @@ static Status do_step(Instance *self, double from, double length) {
                       self->state.stop_time);
 
     drop_spent_motion(self);
+    leave_sides(self);
     const State before = self->state;
+    self->state.stale &= ~(uint32_t)SIDES;
     self->state.steps++;
     const bool asks = self->host.ask_inputs != NULL;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
@@ -86,6 +88,7 @@ static Status set_motion(Instance *self, const Reference references[], size_t co
                           variable->name);
     }
     drop_spent_motion(self);
+    leave_sides(self);
     Status status = OK;
     for (size_t i = 0; i < count; i++)
         if (orders[i] >= 1 && orders[i] <= MOST_INPUT_ORDER)

@@ -7,8 +7,10 @@ right value comes from the path alone: `helpers.exact_paths` knows neither CasAD
 from functools import cache
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers.exact_paths import LAWS, Path, curve, through
+from helpers.fmi_cases import VERSIONS
 from helpers.hybrid_engines import ENGINES, STEPPED, judge, run_on, step_with_values
 
 import cosim
@@ -163,6 +165,31 @@ def test_a_law_of_an_input_that_is_set_has_the_value_of_each_step(path, way):
     points = [(0.25 * (i + end), u) for i, u in enumerate(values) for end in (0, 1)]
     final = attempt(lambda: step_with_values(way, input_model(), "u", values, 0.25))
     judge_laws(f"set/{path}", "u", way, final, through(*points))
+
+
+@VERSIONS
+def test_what_is_read_after_an_input_is_set_has_its_value_and_changes_no_step(fmi, tmp_path):
+    """Rates and outputs share relations, so that both have modes of the last step."""
+    model = cosim.Model("read", stop_time=STOP)
+    u = model.input("u", "1", 0.0, "input")
+    for i, (build, _) in enumerate(LAWS.values()):
+        law = build(u)
+        model.derivative(model.state(f"x_{i}", "1", 0.0, "integral"), law)
+        model.output(f"y_{i}", "1", law, "law")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "read.fmu", fmi=fmi)
+    values = [0, 1, 1 + 2**-30, 1, 1 - 2**-30, 2, 1, 3, -1, 1, 0, 1]
+    with cosim.open(path) as read, cosim.open(path) as unread:
+        names = [f"{kind}{i}{end}" for i in range(len(LAWS))
+                 for kind, end in (("y_", ""), ("der(x_", ")"))]  # fmt: skip
+        for value in values:
+            for trial in (3.0, value):
+                read.set(u=trial)
+                right = [compute(trial) for _, compute in LAWS.values() for _ in range(2)]
+                assert read.get(names).tolist() == right, trial
+            unread.set(u=float(value))
+            assert read.advance(0.25) == unread.advance(0.25)
+            np.testing.assert_array_equal(read.get(names), unread.get(names))
+            np.testing.assert_array_equal(read.get(read.states), unread.get(read.states))
 
 
 # States

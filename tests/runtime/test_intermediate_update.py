@@ -63,6 +63,17 @@ def test_the_solvers_steps_are_shown_and_change_nothing(fmi3):
     assert silent.get(*silent.reference) == fmu.get(*fmu.reference)  # bit for bit
 
 
+def test_a_step_of_the_solver_is_shown_where_communication_steps_are_shorter(fmi3):
+    whole, parts = Watch(), Watch()
+    stepped(fmi3, whole)
+    fmu = parts.fmu = fmi3(1, update=parts)
+    fmu.initialize({"tolerance": 1e-8})
+    for k in range(96):
+        assert fmu.step(k / 32, 1 / 32)[0] == OK
+    assert len(parts.seen) > 5
+    assert parts.seen == whole.seen
+
+
 @pytest.mark.parametrize("wanted", [None, 1.6, 0.0, NAN])
 def test_a_step_ends_early_where_the_importer_wishes(fmi3, wanted):
     watch = Watch(stop_after=1.0, wanted=wanted)

@@ -286,6 +286,15 @@ static inline Ending reject_zeno(Switching *s, double t, int rule, double way) {
     return s->close <= MOST_CLOSE ? GOING_ON : ending(TOO_CLOSE, rule);
 }
 
+/* The modes at a point, as events there find them before any assignment. */
+static inline Ending settle_by_value(const Laws *laws, Switching *s, const Point *at) {
+    const bool later[MODES + 1] = {0};
+    bool zero[MODES + 1] = {0}, decided[MODES + 1] = {0}, reached[MODES + 1];
+    if (find_switched(laws, s, at, -1, later, zero, decided, reached) < 0)
+        return ending(NO_VALUE, -1);
+    return settle(laws, s, at, zero, decided);
+}
+
 /* All that happens at a point; `crossing` is the relation whose argument is 0 there, or -1; those
  * that switch `later` keep their modes. States and modes change in place; where nothing is due,
  * nothing does, however often it is called. The caller plans time events anew where modes of time

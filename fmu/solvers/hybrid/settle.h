@@ -47,11 +47,11 @@ static inline Ending ending(Reason reason, int part) {
 
 /* Whether an input has moved an argument away that was 0, which no equation tells. Where other
  * quantities move it, too, their errors are more than rounding; so is what importers of model
- * exchange step beyond a boundary. */
+ * exchange have stepped beyond a boundary. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
     const double way = fabs(past_boundary(laws, s, seen, i));
     const int moved = laws->relations[i].moved;
-    const bool exact = moved == BY_INPUTS && !laws->blind;
+    const bool exact = moved == BY_INPUTS && (!laws->blind || s->beyond[i] == 0);
     return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
 }
 

@@ -184,7 +184,7 @@ _OTHER_NAMES = {
     "--sweep": ("--along",),
     "--inputs": ("--input-file", "--input"),  # the keyword of Python's calls
     "--parameters": ("--by", "--free", "-p"),
-    "--vary": ("-p",),
+    "--vary": ("--along", "-p"),
     "--delete": ("--clear",),
 }
 _OTHER_VERBS = {"run": "simulate", "compare": "crosscheck", "validate": "check"}
@@ -209,10 +209,11 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
     keywords = {option.lstrip("-").replace("-", "_"): option for option in options}
-    if meant := meant_elsewhere(name.lstrip("-").replace("-", "_"), keywords):
-        return f"; write {keywords[meant[0]]}"
     if option in verb.options("A,B") and not word.startswith("-"):
         return f"; write a list with commas: {before},{word}"
+    meant = meant_elsewhere(name.removeprefix("--").replace("-", "_"), keywords)
+    if meant and word.startswith("--"):
+        return f"; write {keywords[meant[0]]}"
     return did_you_mean(name, options)
 
 

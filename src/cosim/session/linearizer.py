@@ -87,41 +87,21 @@ class Linearizer:
         return LinearSystem(upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:])
 
 
-def with_present_sides(
-    dae: Dae,
-    linear: LinearSystem,
-    outputs: Sequence[str],
-    time: float,
-    get: Callable[[Sequence[str]], Vector],
-    *,
-    states: Sequence[str],
-    inputs: Sequence[str],
-) -> LinearSystem:
-    """Return the linear system of a model on the sides of its relations that the values are on.
-
-    After an input is set, an instance keeps its sides until the next step.
+def reject_corners(
+    dae: Dae, outputs: Sequence[str], time: float, get: Callable[[Sequence[str]], Vector]
+) -> None:
+    """Raise InitialConditionError if a derivative is another one on each side of the values.
 
     Args:
         dae: The model.
-        linear: The system of the instance.
         outputs: Names of y.
         time: The present time, s.
         get: Returns values by name.
-        states, inputs: Names of the columns.
-
-    Raises:
-        InitialConditionError: A derivative is another one on each side.
     """
     names = tuple(name for name in outputs if name in observable(dae))
     system = hybrid(with_kinks_of(dae, names))
     if system is None or not system.relations:
-        return linear
+        return
     groups = dae.states, dae.parameters, dae.inputs
     values = Values(*(get([v.name for v in group]) if group else np.empty(0) for group in groups))
-    found = local_system(dae, names, time, values.x, values, f"{time:.12g} s").jacobian
-    knowns = [v.name for v in (*dae.states, *dae.inputs)]
-    columns = [knowns.index(name) for name in (*states, *inputs)]
-    n = len(states)
-    upper, lower = found[np.ix_(columns[:n], columns)], np.hstack((linear.C, linear.D))
-    lower[[outputs.index(name) for name in names]] = found[len(dae.states) :, columns]
-    return LinearSystem(upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:])
+    local_system(dae, names, time, values.x, values, f"{time:.12g} s")

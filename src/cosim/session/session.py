@@ -20,7 +20,7 @@ from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
-from cosim.session.linearizer import Linearizer, LinearSystem, with_present_sides
+from cosim.session.linearizer import Linearizer, LinearSystem, reject_corners
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
 from cosim.session.saved import ClockFacts, damaged, notes_of, packed, take_notes, unpacked
@@ -213,7 +213,8 @@ class Session(Life):
     ) -> None:
         """Set inputs, or parameters that may change during a run.
 
-        What they switch, such as a limit in an output, is switched by the next step.
+        Results that are read next are on the sides that these values require, as of a limit in an
+        output; events happen at the begin of the next step.
 
         Args:
             values: Values by name, or of all `inputs` in their order, (n,).
@@ -344,11 +345,9 @@ class Session(Life):
             )
             self._linearizers[found.outputs if key is not None else None] = found
         self._check(found.evaluate(), "GetDirectionalDerivative")
-        linear = found.system()
-        if self._dae is None:
-            return linear
-        columns = {"states": self.states, "inputs": self.inputs}
-        return with_present_sides(self._dae, linear, found.outputs, self.time, self.get, **columns)
+        if self._dae is not None:
+            reject_corners(self._dae, found.outputs, self.time, self.get)
+        return found.system()
 
     def _reject_samples(self) -> None:
         if self._dae is not None and any(event.sampled for event in self._dae.events):

@@ -160,6 +160,17 @@ def test_fmu_of_a_steep_law_without_slope_has_a_linear_system(tmp_path):
     assert found.A.tolist() == [[0, 0], [0, 0]]
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_fmu_whose_inputs_and_outputs_act_by_time_has_the_system_of_its_start(fmi, tmp_path):
+    model = Model("timed", stop_time=10.0)
+    x, u = model.state("x", "1", 0.5, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, (1 + model.t) * u - x)
+    model.output("y", "1", ca.cos(model.t) * x, "output")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "timed.fmu", fmi=fmi)
+    found = linearize(path, outputs=["y"])
+    assert (found.A.item(), found.B.item(), found.C.item(), found.D.item()) == (-1, 1, 1, 0)
+
+
 def test_fmu_with_structured_names_has_each_variable_once(tmp_path):
     dae = cosim.load("crank_shaft/driven")
     path = cosim.export_fmu(dae, tmp_path / "crank.fmu", names="structured")

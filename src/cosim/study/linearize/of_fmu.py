@@ -73,7 +73,8 @@ def linearized_fmu(
                 square = jacobian[: len(rates), : len(states)]
                 _reject_course(instance, description, square, noise, states, rates)
                 if np.isfinite(jacobian).all():
-                    _reject_corner(instance, description, jacobian, unknowns, (states, inputs))
+                    groups, here = (states, inputs), np.concatenate((x, u))
+                    _reject_corner(instance, description, here, jacobian, unknowns, groups)
             except FmuError:
                 raise
             except Exception as error:
@@ -159,6 +160,7 @@ def _reject_course(
 def _reject_corner(
     instance: Any,
     description: Any,
+    x: Vector,
     here: Vector,
     unknowns: Sequence[Any],
     groups: tuple[Sequence[Any], Sequence[Any]],
@@ -169,14 +171,15 @@ def _reject_corner(
 
     Args:
         instance, description: The FMU.
-        here: Derivatives of the unknowns by states and inputs.
+        x: States and inputs at the start.
+        here: Derivatives there of the unknowns by states and inputs.
         unknowns: Rates and outputs, fmpy's variables.
         groups: States, and inputs.
     """
     states, inputs = groups
     knowns, n = (*states, *inputs), len(states)
     reals = [v for v in inputs if v.type in ("Real", "Float64")]
-    sizes, x = _nominals(knowns), _values(instance, knowns)
+    sizes = _nominals(knowns)
     shift = BESIDE * np.fmax(sizes, np.abs(x))
     scale = sizes / np.concatenate((sizes[:n], _nominals(unknowns[n:])))[:, None]
     least = np.fmax(JUMP * (np.abs(here) * scale).max(axis=1, initial=0.0), LEAST_JUMP)
@@ -194,6 +197,7 @@ def _reject_corner(
         move(place)  # an event may have changed it
         return np.abs(_jacobian(instance, unknowns, knowns) - here) * scale
 
+    instance.setTime(0.0)
     directions = np.random.default_rng(0).uniform(-1, 1, (TRIALS, len(x)))
     for way in (side * shift * d for d in directions for side in (1, -1)):
         far, near = (change(x + share * way) for share in (1.0, NEARER))
