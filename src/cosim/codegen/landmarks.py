@@ -25,7 +25,6 @@ from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
     FLAT,
-    NOTHING,
     apart,
     changes_between,
     changing_parts,
@@ -167,8 +166,10 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
             return np.fmin(*(np.array(o).ravel() for o in off(begins[None], widths[None], p)))
 
         found = changing_parts(values, beyond, edges)
+    elif len(knots) > 1:
+        found = changes_between(values, knots)
     else:
-        found = changes_between(values, knots) if len(knots) > 1 else NOTHING
+        return []
     if not found.is_whole:
         return []
     changes = list[_Change]()
