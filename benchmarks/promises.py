@@ -149,7 +149,9 @@ def _relay(seed: int) -> Case | None:
         When("on", np.array([0, -1, 0, low]), becomes(1)),
     ]
     found = _course(
-        LinearHybrid(flow, (), whens), [0, 0, 1, 1], {"room.T": 0, "room.R": 1, "relay.q": 2}
+        LinearHybrid(flow, (), whens),
+        [0, 0, 1, 1],
+        {"room.T": 0, "room.R": 1, "relay.q": 2, "relay.seen": 1},
     )
     if found is None:
         return None
@@ -183,7 +185,7 @@ def _sampled(seed: int) -> Case | None:
     found = _course(
         LinearHybrid(flow, (), (), [Every("sample", period, new)]),
         [x0, 0, 0, 1],
-        {"plant.x": 0, "plant.v": 1, "control.h": 2},
+        {"plant.x": 0, "plant.v": 1, "control.h": 2, "control.seen": 0},
     )
     if found is None:
         return None

@@ -142,6 +142,20 @@ def test_what_is_no_npz_is_refused(tmp_path, content):
         Trajectory.from_npz(path)
 
 
+def test_npz_of_another_shape_or_a_later_format_is_refused(tmp_path, run):
+    path = tmp_path / "run.npz"
+    run.to_npz(path)
+    whole = path.read_bytes()
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    place = whole.index(b"PK\x01\x02") + 6  # the version that an entry needs
+    np.savez(tmp_path / "none.npz", **{**arrays, "facts": np.array("null")})
+    none = (tmp_path / "none.npz").read_bytes()
+    for content in (none, whole[:place] + bytes([82]) + whole[place + 1 :]):
+        with pytest.raises(UsageError, match="contains no trajectory"):
+            Trajectory.from_npz(io.BytesIO(content))
+
+
 # -- as people who know pandas expect it ----------------------------------------------------------
 
 

@@ -436,8 +436,9 @@ def hybrid(dae: Dae) -> Hybrid | None:
     if operations(ca.vertcat(dae.ode, dae.alg, driving)).isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))
-    laws = LawsWithModes([dae.ode, dae.alg, conditions, driving], [dae.outputs], dae)
-    ode, alg, conditions, _, outputs = laws.results
+    values = [event.values for event in dae.events]
+    laws = LawsWithModes([dae.ode, dae.alg, conditions, driving], [dae.outputs, *values], dae)
+    ode, alg, conditions, _, outputs, *values = laws.results
     relations = laws.relations
     if not relations and not dae.events:
         return None
@@ -453,8 +454,8 @@ def hybrid(dae: Dae) -> Hybrid | None:
         smooth=(),
     )
     events = tuple(
-        replace(event, condition=condition)
-        for event, condition in zip(dae.events, ca.vertsplit(conditions), strict=True)
+        replace(event, condition=condition, values=own)
+        for event, condition, own in zip(dae.events, ca.vertsplit(conditions), values, strict=True)
     )
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
 

@@ -118,6 +118,11 @@ static inline int enter_event_modes(Coupling *self) {
     return DONE;
 }
 
+/* Whether an input of a part has changed that is set in event mode only. */
+static inline int has_switched(const Coupling *self, const Part *part) {
+    return self->switched && part->event_mode && part->steady->width < part->inputs;
+}
+
 /* What happens at the present point, if a part waits for it; at the last one, no step follows that
  * would find it. */
 static inline int pass_events(Coupling *self) {
@@ -125,7 +130,8 @@ static inline int pass_events(Coupling *self) {
     const int last = system->ends && same_time(system, self->now.t, system->stop);
     int any = 0;
     for (long long p = 0; p < system->n_parts; ++p)
-        any |= system->parts[p].waits || (last && system->parts[p].event_mode);
+        any |= system->parts[p].waits || (last && system->parts[p].event_mode) ||
+               has_switched(self, system->parts + p);
     if (!any) return DONE;
     if (enter_event_modes(self) != DONE) return CALL_FAILED;
     /* events see the values that relations of time in other parts have now */
@@ -215,6 +221,12 @@ static inline double first_length(const Coupling *self) {
     return self->all_roll_back ? refined : fmin(refined, sqrt(system->tolerance) * first);
 }
 
+/* The longest macro step after one of a length: where each step is as long as it may be, those of a
+ * refined run are half as long at the same time, not the same ones after a shorter first step. */
+static inline double longer(const Coupling *self, double length) {
+    return length * (1 + (LONGER - 1) * fmax(self->system->refinement, 0.5));
+}
+
 static inline int is_at_goal(const Coupling *self) {
     const System *system = self->system;
     return system->time >= system->goal || same_time(system, system->time, system->goal);
@@ -265,7 +277,7 @@ static inline int run_adaptive(Coupling *self) {
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         for (long long r = row; too_far && r < system->rows; ++r) system->at_jumps[r] = true;
-        h = length * fmin(fmax(factor, SHORTER), LONGER);
+        h = fmin(length * fmax(factor, SHORTER), longer(self, length));
         h = fmin(fmax(h, SHORTEST * span), longest);
         if (self->known == 0) h = first_length(self); /* after an event, or a switch */
         self->h = h;

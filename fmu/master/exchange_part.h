@@ -184,9 +184,11 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     self->fmu.status = OK;
     int wrong = n > TOGETHER || slope(&solver->ode, t, solver->x, solver->k[0]);
     double d = SHARE * (self->run.stop - self->run.start) / 50;
-    if (!wrong && self->run.states)
+    if (!wrong && self->run.states) {
         d = fmin(d, SHARE * first_step(&solver->ode, t, self->run.stop - self->run.start, solver->x,
                                        solver->k));
+        wrong = is_final(solver);
+    }
     d = fmax(d, 1e4 * DBL_EPSILON * fabs(t));
     for (int side = -1; !wrong && side <= 1; side += 2) {
         for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + side * d * solver->k[0][i];

@@ -8,8 +8,8 @@
 
 #include "texts.h"
 
-enum { TOGETHER = 32 };                /* variables of a call that wants an order for each */
-enum { OK, WARNING, DISCARD, FAILED }; /* status; FMI 2 and 3 agree */
+enum { TOGETHER = 32 };                       /* variables of a call that wants an order for each */
+enum { OK, WARNING, DISCARD, FAILED, FATAL }; /* status; FMI 2 and 3 agree */
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* kinds of FMI 2's status */
 enum { MOST_UPDATES = 1000 };                      /* of discrete states at one time */
 
@@ -25,6 +25,7 @@ typedef struct {
     long long version;
     void *instance;
     void *stepper; /* what steps, events and states belong to: the instance, or its own solver */
+    long long *is_fatal; /* set once nothing of the instance may be called any more */
     int (*set_time)(void *, double);
     int (*get_states)(void *, double *, size_t);
     int (*set_states)(void *, const double *, size_t);
@@ -67,6 +68,7 @@ static inline int failed(Fmu *self, const char *function, int status) {
     if (status == OK || status == WARNING) return 0;
     self->function = function;
     self->status = status;
+    if (status == FATAL) *self->call->is_fatal = 1;
     return 1;
 }
 

@@ -10,10 +10,11 @@ enum { MOST_ORDER = 3 }; /* of derivatives of inputs */
 typedef struct {
     const Functions *call;
     const Recording *recording, *given, *shown; /* given: its inputs, shown: its outputs */
-    long long place, turn;                      /* among the parts; when it steps */
-    long long inputs, outputs;                  /* connected ones */
-    long long first_input, first_output;        /* where they begin among those of all parts */
-    long long moving_inputs, moving_outputs;    /* the first ones, which are real and continuous */
+    const Recording *steady;   /* inputs that may be set outside event mode: the first ones */
+    long long place, turn;     /* among the parts; when it steps */
+    long long inputs, outputs; /* connected ones */
+    long long first_input, first_output;     /* where they begin among those of all parts */
+    long long moving_inputs, moving_outputs; /* the first ones, which are real and continuous */
     const uint32_t *input_references, *output_references; /* of these */
     long long order;      /* of derivatives of inputs that it takes, 0 to MOST_ORDER */
     long long rates;      /* whether it gives derivatives of outputs */
@@ -25,6 +26,7 @@ typedef struct {
     long long steps, restored;
     long long violations, kept; /* of validity conditions: so far; at `saved` */
     long long waits;            /* whether an event is to happen where it is */
+    long long in_step_mode;     /* unless it is in event mode, or has not begun */
     double reached;
     double next_event, kept_next; /* the time of the event that it has announced; at `saved` */
     void *saved;                  /* its state at the last communication point; NULL at first */
@@ -47,7 +49,7 @@ static inline int part_get(Fmu *fmu, const Part *self, double *y) {
 
 static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
     calls_of(fmu, self);
-    return set_row(fmu, self->given, u);
+    return set_row(fmu, self->in_step_mode ? self->steady : self->given, u);
 }
 
 /* Reads arrays of which only some elements are inputs here; `u` is for its inputs. */
@@ -57,7 +59,7 @@ static inline int part_read_arrays(Fmu *fmu, const Part *self, double *u) {
         scalars &= self->given->group[g].values == self->given->group[g].count;
     if (scalars) return 0;
     calls_of(fmu, self);
-    return get_row(fmu, self->given, u);
+    return get_row(fmu, self->given, u) || get_row(fmu, self->steady, u);
 }
 
 /* Derivatives of one order of the inputs that move, for the next step; an FMU of version 3 asks
@@ -129,7 +131,8 @@ static inline int part_restore(Fmu *fmu, Part *self) {
 }
 
 static inline void part_forget(Part *self) {
-    if (self->saved) self->call->free_fmu_state(self->call->stepper, &self->saved);
+    const Functions *call = self->call;
+    if (self->saved && !*call->is_fatal) call->free_fmu_state(call->stepper, &self->saved);
 }
 
 /* Writes a row of what the part records. */
@@ -173,14 +176,16 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;
 }
 
-static inline int part_enter_event_mode(Fmu *fmu, const Part *self) {
+static inline int part_enter_event_mode(Fmu *fmu, Part *self) {
     const Functions *call = calls_of(fmu, self);
+    self->in_step_mode = 0;
     return failed(fmu, "enter_event_mode", call->enter_event_mode(call->stepper));
 }
 
 static inline int part_enter_step_mode(Fmu *fmu, Part *self) {
     const Functions *call = calls_of(fmu, self);
     self->waits = 0;
+    self->in_step_mode = 1;
     return failed(fmu, "enter_step_mode", call->enter_step_mode(call->stepper));
 }
 

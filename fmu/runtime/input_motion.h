@@ -15,9 +15,11 @@ static double derivative_at(const Instance *self, int input, int order, double s
     return sum + (order > 0 ? state->motion[order - 1][input] : state->values[FIRST_INPUT + input]);
 }
 
+/* Those of all inputs; modes, which follow them, rest. */
 static void derivatives_at(const Instance *self, int order, double time, double found[]) {
-    const double since = time - self->state.values[TIME];
-    for (int i = 0; i < NU; i++) found[i] = derivative_at(self, i, order, since);
+    const double *values = self->state.values, since = time - values[TIME];
+    for (int i = 0; i < NU - MODES; i++) found[i] = derivative_at(self, i, order, since);
+    for (int i = NU - MODES; i < NU; i++) found[i] = order > 0 ? 0 : values[FIRST_INPUT + i];
 }
 
 /* Values, and first derivatives, at a time. */
@@ -33,7 +35,7 @@ static void input_slopes_at(const void *instance, double time, double du[]) {
 static void move_inputs(Instance *self, double time) {
     double *values = self->state.values;
     const double since = time - values[TIME];
-    for (int i = 0; i < NU; i++) {
+    for (int i = 0; i < NU - MODES; i++) {
         values[FIRST_INPUT + i] = derivative_at(self, i, 0, since);
         for (int order = 1; order < MOST_INPUT_ORDER; order++)
             self->state.motion[order - 1][i] = derivative_at(self, i, order, since);
@@ -63,7 +65,7 @@ static bool ask_for_motion(Instance *self, double end) {
 
 static bool inputs_rest(const Instance *self) {
     for (int order = 0; order < MOST_INPUT_ORDER; order++)
-        for (int i = 0; i < NU; i++)
+        for (int i = 0; i < NU - MODES; i++)
             if (self->state.motion[order][i] != 0) return false;
     return true;
 }

@@ -101,10 +101,10 @@ static inline int propose(Adaptive *self) {
     Problem *problem = self->problem;
     double *const end = self->end, stop = self->grid->end;
     const int final = self->t + 1.01 * self->h >= stop;
-    if (final) self->h = stop - self->t;
+    self->after = final ? stop : self->t + self->h;
+    self->h = self->after - self->t; /* as time is rounded: states must not run away from it */
     const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
     self->error = lost ? NAN : error_of(&self->ode, self->h, self->x, end, self->k);
-    self->after = final ? stop : self->t + self->h;
     if (!(self->error <= 1) || restore(problem, self->after, end) ||
         slope(&self->ode, self->after, end, self->k[END]) || !is_finite(self->k[END])) {
         self->h *= self->error > 1 ? growth(self->error, self->rejected) : 0.1;

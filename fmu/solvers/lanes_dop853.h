@@ -281,11 +281,11 @@ static void step(Lanes *self, const Batch *batch) {
             finish(self, batch, l, STEP_TOO_SMALL);
         self->final[l] = t + 1.01 * h >= stop;
         self->planned[l] = h;
-        if (self->final[l] && self->run[l] >= 0) self->h[l] = stop - t;
     }
-    stages(self);
     V after = self->t + self->h;
     FOR_LANES if (self->final[l]) after[l] = stop;
+    FOR_LANES if (self->run[l] >= 0) self->h[l] = after[l] - self->t[l]; /* as time is rounded */
+    stages(self);
     const V error = errors(self, batch);
     slopes(self, after, self->end, self->k[END]);
     M good = (error <= every(1)) & is_finite(self->end) & is_finite(self->k[END]);

@@ -189,8 +189,10 @@ static inline void look_closely_at(const Step *self, Place *first, Place *last) 
  * fails. */
 static inline int crossing_of(Step *self, const double *x, const double *times, double *columns,
                               const Place *begin, Place *end, Crossing *found) {
-    const Switching *s = self->watch->switching;
+    Switching *s = self->watch->switching;
     Place before = *begin, place;
+    ++s->rounded;
+    self->proven = false; /* that of the step before */
     self->proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;
     *found = (Crossing){end->t, -1, end->t};

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -431,7 +430,7 @@ class Trajectory:
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
                 facts["events"] = tuple(Event(**event) for event in facts["events"])
                 return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:
             raise UsageError(f"{source} contains no trajectory: {error}") from error
 
     def to_pandas(self) -> pd.DataFrame:

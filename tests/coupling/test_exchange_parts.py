@@ -7,7 +7,9 @@ import sys
 import numpy as np
 import pytest
 from helpers.exchange_only import WITHOUT_STATE, exchange_only
+from helpers.fmu_files import set_attributes, with_description
 from helpers.foreign_part import foreign_part
+from helpers.wrapped import wrapped
 from scipy.linalg import expm
 
 import cosim
@@ -202,15 +204,68 @@ def test_events_happen_within_the_steps_of_methods_of_order_1(build, stop, count
     assert len(run.events) == pytest.approx(count, abs=1)
 
 
-def test_discrete_inputs_are_rejected_by_name(tmp_path):
+def lamp(folder):
+    """Return a file whose discrete input is an error outside event mode."""
     model = cosim.Model("lamp")
-    u = model.input("u", "1", 0.0, "switch")
-    model.derivative(model.state("x", "1", 0.0, "state"), u)
-    path = cosim.export_fmu(model.freeze(), tmp_path / "lamp.fmu")
-    path = exchange_only(path, **{'causality="input" variability': "discrete"})
-    system = cosim.couple({"a": path, "room": room()}, {"a.u": "room.y"}, stop_time=1.0)
-    with pytest.raises(UsageError, match=r"part 'a' is for model exchange.*u is not; export it"):
-        system.simulate()
+    u, f = model.input("u", "1", 0.0, "switch"), model.input("f", "1", 0.0, "force")
+    model.derivative(model.state("x", "1", 0.0, "state"), u + f)
+    path = wrapped(
+        folder,
+        dae=model.freeze(),
+        fmi2EnterContinuousTimeMode="limit = 1; return CALL;",
+        fmi2EnterEventMode="limit = 0; return CALL;",
+        fmi2SetReal="for (size_t i = 0; i < n; i++) if (limit && vr[i] == REF(u)) return fmi2Error;"
+        " return CALL;",
+    )
+    edit = set_attributes("ModelVariables/*[@name='u']", variability="discrete")
+    return exchange_only(with_description(path, folder / "lamp.fmu", edit))
+
+
+def blinker():
+    model = cosim.Model("blinker")
+    d, t = model.discrete("d", "1", 0, "is on"), model.state("t", "1", 0.0, "time")
+    model.derivative(t, 1)
+    model.every(0.26, {d: 1 - d})
+    model.output("y", "1", t, "time")
+    return model.freeze()
+
+
+@pytest.fixture(scope="module")
+def lamps(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lamps")
+    path = cosim.export_fmu(blinker(), folder / "blinker.fmu", fmi=2)
+    return {"lamp": lamp(folder), "events": blinker(), "no event mode": path}
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        {"accuracy": 1e-6},
+        {"macro_step": 0.02},
+        {"method": "extrapolated", "macro_step": 0.02},
+        {"method": "gauss_seidel", "macro_step": 0.01},
+        {"method": "jacobi", "macro_step": 0.01},
+    ],
+    ids=lambda way: "-".join(map(str, way.values())),
+)
+@pytest.mark.parametrize("source", ["events", "no event mode"])
+def test_discrete_inputs_are_set_in_event_mode(source, way, lamps):
+    parts = {"lamp": lamps["lamp"], "blinker": lamps[source]}
+    wires = {"lamp.u": "blinker.d", "lamp.f": "blinker.y"}
+    abilities = {"blinker": source} if source.startswith("no ") else {}
+    run = cosim.couple(parts, wires, stop_time=1.0, abilities=abilities).simulate(**way)
+    late = way["macro_step"] / 2 if way.get("method") in ("gauss_seidel", "jacobi") else 0.0
+    lit = 0.26 + 0.26  # from 0 and from 0.52 s on
+    assert run.final["lamp.x"] == pytest.approx(lit + 0.5 - late, rel=1e-9)
+
+
+@pytest.mark.parametrize("way", [{"accuracy": 1e-6}, {"macro_step": 0.02}], ids=str)
+def test_table_drives_a_discrete_input_for_model_exchange(way, lamps, tmp_path):
+    table = tmp_path / "u.csv"
+    table.write_text("time,lamp.u\n0,0\n0.3,2\n0.7,0\n1,0\n")
+    system = cosim.couple({"lamp": lamps["lamp"]}, {}, stop_time=1.0)
+    run = system.simulate(inputs=cosim.read_inputs(table), **way)
+    assert run.final["lamp.x"] == pytest.approx(2 * 0.4, rel=1e-9)
 
 
 def test_event_mode_cannot_be_switched_off(files):

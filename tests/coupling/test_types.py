@@ -4,6 +4,9 @@ import zipfile
 
 import numpy as np
 import pytest
+from helpers.mutated_ssp import packed
+from helpers.ssp_files import component, connection, description
+from helpers.ssp_files import system as ssp_system
 from helpers.typed_part import typed_part
 
 import cosim
@@ -245,3 +248,42 @@ def test_ssp_file_with_another_type_is_rejected(old, new, reason, part, tmp_path
     other = changed(path, tmp_path / "changed.ssp", old, new)
     with pytest.raises(cosim.CosimError, match=rf"changed.ssp: SystemStructure.ssd: .*{reason}"):
         cosim.read_ssp(other)
+
+
+HALF = '<ssc:LinearTransformation factor="0.5"/>'
+
+
+def through_connector(folder, path, first, second, change=""):
+    """A system whose input `in` sets an input of each of two parts."""
+    kinds = dict.fromkeys((first, second), "input")
+    parts = "".join(component(n, "", kinds=kinds, source="resources/typed.fmu") for n in "ab")
+    wires = connection("in", f"a.{first}", change) + connection("in", f"b.{second}")
+    text = description(ssp_system("S", parts, wires, kinds={"in": "input"}))
+    entries = {"SystemStructure.ssd": text, "resources/typed.fmu": path.read_bytes()}
+    (folder / "typed.ssp").write_bytes(packed(entries))
+    return cosim.read_ssp(folder / "typed.ssp")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "change", "words"),
+    [
+        ("on_in", "count_in", "", "on_in = 3.0 is no Boolean"),
+        ("count_in", "on_in", "", "on_in = 3.0 is no Boolean"),
+        ("count_in", "count_in", HALF, "count_in = 1.5 is no Int"),
+        ("mode_in", "count_in", HALF, "mode_in = 1.5 is no item of it"),
+    ],
+)
+def test_samples_suit_every_input_that_a_connector_sets(
+    first, second, change, words, part, tmp_path
+):
+    system = through_connector(tmp_path, part, first, second, change)
+    values = np.array([[2.0 if change else 1.0], [3.0]])
+    samples = InputSeries(["in"], np.array([0.0, 0.5]), values)
+    with pytest.raises(ParameterError, match=words):
+        system.simulate(inputs=samples, macro_step=0.1)
+
+
+def test_value_of_a_connector_is_a_number_for_every_type(part, tmp_path):
+    system = through_connector(tmp_path, part, "on_in", "count_in")
+    run = system.simulate(start_values={"in": 1}, macro_step=0.1, outputs=["a.on", "b.count"])
+    np.testing.assert_array_equal(run.values, 1.0)

@@ -6,7 +6,7 @@ from helpers.described_files import described_file
 import cosim
 from cosim.errors import ParameterError, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.instance import by_name, read_description
+from cosim.fmi.run.description import by_name, read_description
 from cosim.fmi.run.request import column_of
 
 PRESSURE, POWER, TIME = 'kg="1" m="-1" s="-2"', 'kg="1" m="2" s="-3"', 's="-1"'

@@ -1,6 +1,6 @@
 """The long attack, `pytest -m nightly tests/faults`: rows at random, fuzzed calls, kills.
 
-The environment's COSIM_NIGHTLY scales it: 0.01 is a hundredth.
+`helpers.nightly` reads its scale and its seed from the environment.
 """
 
 import os
@@ -15,14 +15,16 @@ from pathlib import Path
 import pytest
 from helpers.harness import SANITIZED, THREADED, fuzzers, run
 from helpers.left_processes import left_processes
+from helpers.nightly import SCALE, SEED
 from helpers.random_rows import random_rows
+from helpers.thread_cases import faults_of_threads, systems
 
 from cosim.cli.main import main
 
-SCALE = float(os.environ.get("COSIM_NIGHTLY", "1"))
 ROWS, PARTS = 3000, 30
 CALLS, SLICES = 50_000_000, 20
 KILLS = 200
+THREADS = 30  # cases of each kind
 
 pytestmark = [
     pytest.mark.nightly,
@@ -33,9 +35,21 @@ pytestmark = [
 @pytest.mark.parametrize("part", range(PARTS))
 def test_random_fault_ends_in_one_sentence(part, ends_well, exported):
     content = exported("crank_shaft").read_bytes()
-    rows = random_rows(part, max(1, round(SCALE * ROWS / PARTS)), content)
+    rows = random_rows(PARTS * SEED + part, max(1, round(SCALE * ROWS / PARTS)), content)
     found = ((row, ends_well(row)) for row in rows)
     assert {f"{row.name}: {row.words}": wrong for row, wrong in found if wrong} == {}
+
+
+@pytest.mark.parametrize("kind", ["models", "file", "ssp"])
+def test_threads_end_as_each_would_alone(kind, exported, tmp_path, counts):
+    made = systems(tmp_path, exported("crank_shaft"))[kind]
+    wrong, known = {}, {}
+    for number in range(max(1, round(SCALE * THREADS))):
+        found = faults_of_threads(THREADS * SEED + number, made, known)
+        counts.update({"rows": 1, **found})
+        if found:
+            wrong[number] = found
+    assert wrong == {}
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +66,8 @@ def fuzzer(tmp_path_factory):
 def test_random_calls_do_no_harm(part, solver, version, flags, threads, fuzzer, counts):
     program = fuzzer(solver, version, *flags)
     calls = max(4000, round(SCALE * CALLS / 8 / SLICES))
-    done, _, longest = run([program, 1000 + part, calls, threads], timeout=7200).split()
+    seed = 1000 + SLICES * SEED + part
+    done, _, longest = run([program, seed, calls, threads], timeout=7200).split()
     counts["calls"] += int(done)
     assert float(longest) < 1.0  # s of processor time; measured 0.02 and 0.08
 
@@ -83,7 +98,7 @@ def test_killed_command_leaves_the_old_file_or_the_new_one(tmp_path, monkeypatch
             name = command[command.index("-o") + 1]
             whole.setdefault(name, set()).add(Path(name).read_bytes())
     before = sorted(path.name for path in tmp_path.iterdir())
-    draw = random.Random(1)
+    draw = random.Random(SEED)
     for _ in range(max(1, round(SCALE * KILLS))):
         _kill_while_writing(words, ends, draw.uniform(0, 0.4))
         counts["kills"] += 1
@@ -124,7 +139,7 @@ def test_a_signal_at_any_moment_ends_a_verb_in_one_sentence(verb, exported, tmp_
     pair = "[parts]\na = 'crank_shaft'\nb = 'bar_on_frame'\n[connections]\n'b.T2' = 'a.T'\n"
     files = {"crank.fmu": exported("crank_shaft").read_bytes(), "pair.toml": pair.encode()}
     files["data.csv"] = "".join(["time,phi\n", *(f"{k},{k * k}\n" for k in range(4))]).encode()
-    draw = random.Random(verb)
+    draw = random.Random(f"{SEED} {verb}")
     wrong = {}
     for number in range(max(1, round(SCALE * SIGNALS))):
         place, temporary = tmp_path / f"{number}", tmp_path / f"{number} temporary"

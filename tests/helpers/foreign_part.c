@@ -2,6 +2,7 @@
  * GRID, RESETS and FAULT. For co-simulation it makes 20 steps of the classic Runge-Kutta method per step.
  */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,8 +13,13 @@ enum { PLANT, CONTROLLER, LAG, HOLDER };
 
 typedef struct {
     double time, x, u, slope, rate;
-    int stepped;
+    int stepped, is_fatal;
 } Instance;
+
+static void *living(void *instance) {
+    if (((Instance *)instance)->is_fatal) fputs("a call after a fatal error\n", stderr);
+    return instance;
+}
 
 static double clip(double value, double limit) {
     return value > limit ? limit : value < -limit ? -limit : value;
@@ -54,7 +60,7 @@ API void *fmi2Instantiate(const char *name, int type, const char *guid, const ch
     return calloc(1, sizeof(Instance));
 }
 API void fmi2FreeInstance(void *c) {
-    free(c);
+    free(living(c));
 }
 API int fmi2SetupExperiment(void *c, int has, double tolerance, double start, int stops,
                             double end) {
@@ -69,15 +75,15 @@ API int fmi2ExitInitializationMode(void *c) {
     return (void)c, 0;
 }
 API int fmi2Terminate(void *c) {
-    return (void)c, 0;
+    return living(c), 0;
 }
 API int fmi2Reset(void *c) {
-    if (RESETS) memset(c, 0, sizeof(Instance));
+    if (RESETS) memset(living(c), 0, sizeof(Instance));
     return 0;
 }
 
 API int fmi2GetReal(void *c, const unsigned *references, size_t n, double *values) {
-    const Instance *self = c;
+    const Instance *self = living(c);
     double rate, y;
     equations(self->x, self->u, &rate, &y);
     for (size_t i = 0; i < n; ++i)
@@ -88,7 +94,7 @@ API int fmi2GetReal(void *c, const unsigned *references, size_t n, double *value
     return 0;
 }
 API int fmi2SetReal(void *c, const unsigned *references, size_t n, const double *values) {
-    Instance *self = c;
+    Instance *self = living(c);
     for (size_t i = 0; i < n; ++i) {
         if (references[i] == OUTPUT) return 3;
         if (references[i] == STATE) self->x = values[i];
@@ -109,13 +115,13 @@ NONE(const char *, String)
 
 API int fmi2GetFMUstate(void *c, void **state) {
     if (!*state) *state = malloc(sizeof(Instance));
-    return memcpy(*state, c, sizeof(Instance)), 0;
+    return memcpy(*state, living(c), sizeof(Instance)), 0;
 }
 API int fmi2SetFMUstate(void *c, void *state) {
-    return memcpy(c, state, sizeof(Instance)), 0;
+    return memcpy(living(c), state, sizeof(Instance)), 0;
 }
 API int fmi2FreeFMUstate(void *c, void **state) {
-    return (void)c, free(*state), *state = 0, 0;
+    return living(c), free(*state), *state = 0, 0;
 }
 API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *n) {
     return (void)c, (void)state, *n = sizeof(Instance), 0;
@@ -161,7 +167,7 @@ API int fmi2GetRealOutputDerivatives(void *c, const unsigned *references, size_t
     return 0;
 }
 API int fmi2DoStep(void *c, double time, double size, int keep) {
-    Instance *self = c;
+    Instance *self = living(c);
     const double h = size / 20, before = output(self), first = self->u;
     double k1, k2, k3, k4, y;
     (void)keep;

@@ -20,7 +20,7 @@ from helpers.ssp_files import (
 
 STUB = (
     '<?xml version="1.0"?><fmiModelDescription fmiVersion="2.0" modelName="m" guid="g">'
-    '<CoSimulation modelIdentifier="m"/><ModelVariables>'
+    '<ModelExchange modelIdentifier="m"/><CoSimulation modelIdentifier="m"/><ModelVariables>'
     '<ScalarVariable name="u" valueReference="1" causality="input"><Real start="0" unit="m"/>'
     '</ScalarVariable><ScalarVariable name="y" valueReference="2" causality="output"><Real/>'
     '</ScalarVariable><ScalarVariable name="k" valueReference="3" causality="parameter" '
@@ -32,6 +32,7 @@ _WORDS = (
     *("..", "/", "../..", "1", "1_0", "1e999", "-1e308", "nan", "INF", "0x1", "true", "input"),
     *("output", "inout", "unspecified", "parameter", "%00", "#", "#y", "q.ssp", "#S", "a&lt;b"),
     *("resources/inner.ssp", "resources/a.ssv", "resources/a.ssm", "SystemStructure.ssd"),
+    *("any", "ModelExchange", "CoSimulation", "ScheduledExecution"),
     *("application/x-ssp-package", "application/x-ssp-definition", "http://a/b", "m^999", "C:\\a"),
 )
 _DICTIONARY = (
@@ -43,9 +44,10 @@ _DICTIONARY = (
 
 def _parts(connectors):
     kinds = {"u": "input", "y": "output", "k": "parameter"} if connectors else {}
-    return component("g", "", kinds=kinds, source="resources/m.fmu") + component(
-        "h", "", values(k=2), kinds=kinds, source="resources/m.fmu"
-    )
+    g = component("g", "", kinds=kinds, source="resources/m.fmu")
+    h = component("h", "", values(k=2), kinds=kinds, source="resources/m.fmu")
+    exchange = 'type="application/x-fmu-sharedlibrary" implementation="ModelExchange"'
+    return g + h.replace("<ssd:Component", f"<ssd:Component {exchange}", 1)
 
 
 def _whole(inner):

@@ -88,6 +88,14 @@ def sample_and_row(model):
     integral(model, held)
 
 
+def sample_at_rest(model):
+    """A sample takes the sign of a speed that friction has brought to rest at its time."""
+    v = integral(model, lambda v: -ca.sign(v), 2.0, "v")
+    held = counter(model, "held")
+    model.every(1.0, {held: ca.sign(v)}, name="sample")
+    integral(model, held)
+
+
 def event_and_row(model):
     held, u = counter(model, "held"), model.input("u", "1", 0.0, "u")
     model.when(model.t >= 1, {held: u}, name="event")
@@ -374,6 +382,9 @@ SWITCHING = {
     ),
     "sample and event": Case(sample_and_time, {"a": 5, "b": 5, "y": 10},
                              ((1.0, "step"), *times("sample", 1, 4))),
+    "sample at rest": Case(
+        sample_at_rest, {"v": 0, "held": 0, "y": 2}, times("sample", 1, 4)
+    ),
     "sample and row": Case(sample_and_row, {"y": 3}, times("sample", 0.5, 4), inputs=_STEP),
     "event and row": Case(event_and_row, {"held": 1, "y": 3}, ((1.0, "event"),), inputs=_STEP),
     "event of a signal": Case(

@@ -20,6 +20,7 @@ SIGNATURES = {
     "fmi2DoStep": "fmi2Component c, fmi2Real point, fmi2Real size, fmi2Boolean keep",
     "fmi2SetFMUstate": "fmi2Component c, fmi2FMUstate state",
     "fmi2GetFMUstate": "fmi2Component c, fmi2FMUstate *state",
+    "fmi2FreeFMUstate": "fmi2Component c, fmi2FMUstate *state",
     "fmi2SetupExperiment": "fmi2Component c, fmi2Boolean hasTol, fmi2Real tolerance, "
     "fmi2Real start, fmi2Boolean hasStop, fmi2Real end",
     "fmi2EnterInitializationMode": "fmi2Component c",
@@ -39,6 +40,8 @@ SIGNATURES = {
     "fmi2Boolean *terminate",
     "fmi2NewDiscreteStates": "fmi2Component c, fmi2EventInfo *info",
     "fmi2GetEventIndicators": "fmi2Component c, fmi2Real z[], size_t n",
+    "fmi2EnterEventMode": "fmi2Component c",
+    "fmi2EnterContinuousTimeMode": "fmi2Component c",
     "fmi2Terminate": "fmi2Component c",
     "fmi2Reset": "fmi2Component c",
     "fmi2SerializeFMUstate": "fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size",

@@ -61,6 +61,7 @@ INPUT_PATHS = {
     "rest on the way up": ((0, 0), (1, 1), (2, 1), (3, 2), (4, 2)),
     "rest on the way down": ((0, 2), (1, 1), (2, 1), (3, 0), (4, 0)),
     "rest and back": ((0, 0), (1, 1), (2, 1), (3, 0), (4, 0)),
+    "rest and a small jump": ((0, 0), (1, 1), (2, 1), (2, 1 + 2**-30), (4, 1 + 2**-30)),
     "at it": ((0, 1), (4, 1)),
     "at it then up": ((0, 1), (1, 1), (2, 2), (4, 2)),
     "at it then down": ((0, 1), (1, 1), (2, 0), (4, 0)),
@@ -150,6 +151,7 @@ SET = {
     "set from it": [1] * 4 + [0] * 12,
     "set to it from the start": [1] * 16,
     "set as a signal": [0, 1] * 8,
+    "set a little over it": [1] * 4 + [1 + 2**-30] * 12,
     "set in steps": [0] * 4 + [1] * 4 + [2] * 4 + [1] * 4,
 }
 

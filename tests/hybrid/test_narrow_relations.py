@@ -178,3 +178,43 @@ def test_importer_that_locates_no_events_is_warned_once(tmp_path: Path) -> None:
         logger=lambda *arguments: log.append(arguments[-1]),
     )
     assert sum(b"and returns within a step of the importer" in text for text in log) == 1
+
+
+def entries(k: float, a: float, w: float) -> list[float]:
+    """Return when sin(k sin t + a) rises above 1 - w, up to 6 s."""
+    first = np.arcsin(1 - w)
+    found = list[float]()
+    for turn in 2 * np.pi * np.arange(-20, 21):
+        low, high = (first - a + turn) / k, (np.pi - first - a + turn) / k
+        rising = [np.arcsin(low)] if abs(low) < 1 else []
+        falling = [np.pi - np.arcsin(high)] if abs(high) < 1 else []
+        found += [t + shift for t in (*rising, *falling) for shift in (0, 2 * np.pi)]
+    return sorted(t for t in found if 0 < t < 6)
+
+
+@pytest.mark.quick_rows("dop853")
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8", "cvodes", "erk", "fmu"])
+def test_relations_that_no_law_needs_are_met_in_long_steps(solver: str, tmp_path: Path) -> None:
+    model = Model("waves", stop_time=6.0, output_interval=0.5)
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1/s", 1.0, "speed")
+    n = model.discrete("n", "1", 0.0, "count")
+    k, a, w = (model.parameter(name, "1", 1.0, name) for name in "kaw")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.when(ca.sin(k * x + a) > 1 - w, {n: n + 1}, name="in")
+    dae = model.freeze()
+    path = cosim.export_fmu(dae, tmp_path / "waves.fmu") if solver == "fmu" else None
+    steps = {"step_size": 0.02} if solver in ("rk4", "ode8") else {}
+    draw = np.random.default_rng(3)
+    for _ in range(20):
+        values = {
+            "k": draw.uniform(5, 80),
+            "a": draw.uniform(-3, 3),
+            "w": 10 ** draw.uniform(-4, -2),
+        }
+        if path:
+            run = cosim.simulate_fmu(path, start_values=values, relative_tolerance=1e-8)
+        else:
+            run = cosim.simulate(dae, solver=solver, start_values=values, **steps)
+        times = [event.time for event in run.events if event.name == "in"]
+        assert times == pytest.approx(entries(**values), abs=2e-5)  # before, some with dop853

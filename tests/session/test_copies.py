@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from helpers.event_models import ball, stopping
+from helpers.foreign_part import foreign_part
 from helpers.small_models import decay, growing
 
 import cosim
 from casadi_models.dae import Model
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
+from cosim.session.calls import StateCalls
 
 N = 5
 RATES = np.array([0.0, 0.5, 1.0, 2.0, 100.0])
@@ -117,6 +119,45 @@ def test_a_saved_state_leads_to_the_same_bits(solver):
         np.testing.assert_array_equal(copies.get(["x", "y"]), there)
 
 
+@pytest.fixture
+def lags(tmp_path):
+    """x' = -x in copies whose states hold for their own instances only."""
+    path = foreign_part(tmp_path, "lag", canSerializeFMUstate="false")
+    with cosim.open(path, copies=3, start_values={"x": [1.0, 2.0, 3.0]}) as copies:
+        yield copies
+
+
+def test_a_state_that_one_copy_cannot_take_changes_no_copy(lags):
+    saved = lags.save()
+    lags.advance(0.5)
+    lags.reset(only=[1])
+    before = lags["x"]
+    with pytest.raises(UsageError, match=r"copy 1: .*this state was freed by a reset"):
+        lags.restore(saved)
+    np.testing.assert_array_equal(lags["x"], before)
+    assert (lags.time, lags.reasons) == (0.5, {})
+
+
+def test_a_copy_whose_file_rejects_its_state_fails_alone(lags, monkeypatch):
+    saved = lags.save()
+    lags.advance(0.5)
+    put = StateCalls.go_back
+
+    def reject(calls, number):
+        if calls is lags._engine._sessions[1]._states:
+            raise FmuError("rejected")
+        put(calls, number)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(StateCalls, "go_back", reject)
+        lags.restore(saved)
+    assert (lags.time, lags.reasons) == (0.0, {1: "rejected"})
+    lags.advance(1.0)
+    np.testing.assert_allclose(lags["x"], [np.exp(-1), np.nan, 3 * np.exp(-1)], atol=1e-5)
+    lags.restore(saved)
+    np.testing.assert_array_equal(lags["x"], [1.0, 2.0, 3.0])
+
+
 def test_models_with_events_are_sessions_that_go_on_alone():
     with cosim.open(ball(), copies=3, start_values={"h": [1.0, 0.5, 2.0]}) as balls:
         events = balls.advance(to=0.5)
@@ -146,6 +187,12 @@ def test_lanes_and_sessions_agree_on_the_bicycle():
     np.testing.assert_allclose(*found, rtol=1e-5, atol=1e-6)
 
 
+def of_later_zip(saved):
+    """Damage the version of the format that an entry of the archive needs."""
+    place = saved.index(b"PK\x01\x02") + 6
+    return saved[:place] + bytes([82]) + saved[place + 1 :]
+
+
 @pytest.mark.parametrize(
     ("call", "error", "said"),
     [
@@ -168,6 +215,7 @@ def test_lanes_and_sessions_agree_on_the_bicycle():
         (lambda c: c.reset(only="one"), UsageError, "numbers from 0 to 4"),
         (lambda c: c.restore(b""), UsageError, "no saved copies"),
         (lambda c: c.restore(c.save()[:-30]), UsageError, "no saved copies"),
+        (lambda c: c.restore(of_later_zip(c.save())), UsageError, "no saved copies"),
         (lambda c: c.restore(1), UsageError, "what save has returned"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import gc
 import random
+from math import exp
 from weakref import ref
 
 import casadi as ca
@@ -292,6 +293,44 @@ def test_fatal_error_closes_the_file_for_good(tmp_path):
             session.reset()
 
 
+LOST = "if (time > 0.3) return self->x = NAN, 0"
+
+
+def test_state_of_a_file_from_elsewhere_that_is_not_finite_ends_the_session(tmp_path):
+    path = foreign_part(tmp_path, "lag", fault=LOST)
+    with cosim.open(path, start_values={"x": 1.0}) as session:
+        session.advance(to=0.25)
+        saved = session.save()
+        session.advance(to=0.5)
+        with pytest.raises(FmuError, match=r"its state x is not finite at 0\.75 s"):
+            session.advance(to=0.75)
+        session.restore(saved)
+        assert session["x"] == pytest.approx(exp(-0.25), abs=1e-8)
+
+
+def test_copy_whose_state_is_not_finite_fails_alone(tmp_path):
+    path = foreign_part(tmp_path, "lag", fault=f"if (self->u > 0) {{ {LOST}; }}")
+    with cosim.open(path, copies=2, start_values={"x": 1.0, "u": [0.0, 1.0]}) as copies:
+        for _ in range(3):
+            copies.advance(0.25)
+        assert list(copies.reasons) == [1]
+        assert "its state x is not finite at 0.75 s" in copies.reasons[1]
+        np.testing.assert_allclose(copies["x"], [exp(-0.75), np.nan], atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["file", "system"])
+def test_value_that_is_not_finite_is_named(kind, tmp_path):
+    path = foreign_part(tmp_path, "lag", fault="if (time > 0.3) return self->u = NAN, 0")
+    model = path if kind == "file" else cosim.couple({"a": path}, {})
+    rate = "der(x)" if kind == "file" else "a.der(x)"
+    with cosim.open(model) as session:
+        session.advance(0.4)
+        session.advance(0.4)
+        assert session.get().tolist() == [0.0]
+        with pytest.raises(FmuError, match=r"der\(x\) is not finite at 0\.8 s; leave it out"):
+            session.get([rate])
+
+
 def test_session_that_nobody_closes_is_freed_with_its_states(tmp_path):
     session = cosim.open(foreign_part(tmp_path, "lag", canSerializeFMUstate="false"))
     session.set(u=1.0)
@@ -395,3 +434,13 @@ def test_value_that_a_type_does_not_have_is_rejected(name, value, copies, tmp_pa
         part.advance(0.1)
         assert np.all(part[name] == 1)
         part.set({name: 3.0 if name == "count_in" else 1.0})
+
+
+def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
+    toml = tmp_path / "shafts.toml"
+    toml.write_text("[parts]\na = 'crank_shaft'\n[start_values]\n'a.omega' = 10.0\n")
+    with cosim.open(toml) as session:
+        session.advance(to=1.0)  # alpha is 10 rad/s2
+        assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
+    with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
+        cosim.open(toml, macro_step=0.01)

@@ -452,16 +452,6 @@ def test_systems_open_from_their_files(files, tmp_path):
             assert session["motor.x"] == pytest.approx(2 - exp(-0.5), abs=1e-9)
 
 
-def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
-    toml = tmp_path / "shafts.toml"
-    toml.write_text("[parts]\na = 'crank_shaft'\n[start_values]\n'a.omega' = 10.0\n")
-    with cosim.open(toml) as session:
-        session.advance(to=1.0)  # alpha is 10 rad/s2
-        assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
-    with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
-        cosim.open(toml, macro_step=STEP)
-
-
 def test_file_for_model_exchange_only_is_opened_as_a_part(files):
     with pytest.raises(FmuError, match="model exchange only") as caught:
         cosim.open(files["exchange"])

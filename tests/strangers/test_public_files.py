@@ -41,6 +41,7 @@ def test_public_file_gives_its_reference_values(path, row, present):
         present(path),
         interface=row["interface"],
         stop_time=row["stop_time"],
+        outputs=[*row["expected"]],
         relative_tolerance=1e-8,
         start_values=row.get("start"),
     )

@@ -232,6 +232,22 @@ def test_a_small_state_without_nominal_value_is_compared_with_its_own_largest_va
     assert ("of its nominal value" in str(found)) == (size >= 1)
 
 
+@pytest.mark.parametrize("factor", [0.94, 1.0, -1.0])
+def test_a_small_state_beside_a_large_one_is_noted_where_it_differs(factor):
+    """6 % of 1e-7 beside 1e4 agreed without a word."""
+    columns = tuple(Column(name, "m", is_state=True) for name in ("small", "large"))
+    course = np.array([0.0, 0.5, 1.0])
+    runs = [
+        Trajectory("m", np.arange(3.0), columns, np.array([course * size, course * 1e4]).T)
+        for size in (1e-7, factor * 1e-7)
+    ]
+    found = compare(*runs)
+    assert found
+    words = f"small differs by {abs(1 - factor):.1g} of its largest value 1e-07"
+    assert (words in found.note) == (factor != 1)
+    assert (found.note == "") == (factor == 1)
+
+
 @pytest.mark.parametrize("size", [0.0, 1e-17, 1e-11])
 def test_states_that_are_0_for_their_error_control_agree(size):
     columns = (Column("q", "C", is_state=True),)

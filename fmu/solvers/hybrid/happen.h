@@ -8,7 +8,8 @@
 
 #include "settle.h"
 
-static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period */
+static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period; ...
+                                         ... below, a new value is 0, as a mode of what slides is */
 static const double CLOSE = 1e-10;    /* distance of events, relative to 1 s or the run, or ... */
 static const double FEW_ULPS = 4096;  /* ... roundings of the time, of which ... */
 enum { MOST_CLOSE = 10 };             /* ... so many in succession are no motion, as are ... */
@@ -139,8 +140,8 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
              * the known rate has been moved there, and its value decides */
             const double past = past_boundary(laws, s, &seen, i);
             const bool beyond = is_beyond(relation->floor, modes[i], past);
-            const bool moved = laws->blind && relation->of_input && beyond &&
-                               rates[i] >= -ROUNDING * seen.sizes[i];
+            const bool moved =
+                laws->blind && relation->moved && beyond && rates[i] >= -ROUNDING * seen.sizes[i];
             zero[i] = (i == crossing || crossed) && !moved;
             rests[i] = i != crossing && !(rates[i] < 0);
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
@@ -172,7 +173,7 @@ static inline Ending new_values(const Laws *laws, const Decision *at, const bool
         const Rule *rule = &laws->rules[i];
         for (int k = rule->first; risen[i] && k < rule->first + rule->count; k++) {
             const int state = laws->assigned[k];
-            const double value = at->values[k];
+            const double found = at->values[k], value = fabs(found) < TINY ? 0 : found;
             if (!isfinite(value)) return (Ending){NOT_FINITE_ASSIGNED, i, -1, state, value};
             if (by[state] < 0)
                 assigned[state] = value;

@@ -27,13 +27,20 @@
 
 enum { KEEPS = 2 }; /* `at_zero` of a relation that has the mode of either side there */
 
+/* How inputs, whose rates may be unknown, move an argument. */
+enum {
+    BY_NONE,
+    BY_SOME,  /* among others, or through unknowns that may depend on inputs */
+    BY_INPUTS /* by nothing else */
+};
+
 typedef struct {
-    bool floor;    /* its mode is the floor of its argument, not the sign */
-    bool of_time;  /* the argument depends on time and parameters alone ... */
-    bool linear;   /* ... and is linear in time */
-    bool of_input; /* it depends on inputs, or on unknowns that may do so */
-    bool in_laws;  /* dx/dt, an unknown or another model depends on its mode */
-    int at_zero;   /* mode of a sign while its argument rests at 0: -1, 0, 1, or KEEPS */
+    bool floor;   /* its mode is the floor of its argument, not the sign */
+    bool of_time; /* the argument depends on time and parameters alone ... */
+    bool linear;  /* ... and is linear in time */
+    int moved;    /* how inputs move the argument */
+    bool in_laws; /* dx/dt, an unknown or another model depends on its mode */
+    int at_zero;  /* mode of a sign while its argument rests at 0: -1, 0, 1, or KEEPS */
 } Relation;
 
 typedef struct {

@@ -114,13 +114,14 @@ static inline int crossing_between(LookAt *look, Stays *stays, void *motion, Pla
     for (int k = 1; k <= PLACES && outside(found) < 0; ++k) {
         before = *found;
         look(motion, k < PLACES ? from + (end - from) * k / PLACES : end, found);
-        for (int i = 0; i < GUARDS && outside(found) < 0; ++i)
-            if (may_dip(&before, found, i, SHALLOW_PART)) {
-                const Place least = bottom(look, motion, i, before, *found);
-                if (least.inside[i] < 0) *found = least;
-            }
-        bool left =
-            outside(found) >= 0 || find_outside(look, stays, motion, &before, found, &parts);
+        bool left = outside(found) >= 0;
+        for (int i = 0; i < GUARDS && !left; ++i) {
+            if (!may_dip(&before, found, i, SHALLOW_PART)) continue;
+            const Place least = bottom(look, motion, i, before, *found);
+            left = least.inside[i] < 0;
+            if (left) *found = least;
+        }
+        left = left || find_outside(look, stays, motion, &before, found, &parts);
         while (left) { /* it may have been outside before, too */
             Place inside = narrow(look, motion, before, found);
             left = find_outside(look, stays, motion, &before, &inside, &parts) &&

@@ -34,10 +34,12 @@ static inline int leaving_at(const Switching *s, const Place *place) {
     return -1;
 }
 
-/* A time at which a margin falls below 0: after it at `low`, no later than `high`. */
+/* A time at which a margin falls below 0: after it at `low`, no later than `high`, where it has
+ * been seen to be below 0 if it `crosses`. */
 typedef struct {
     double low, high;
     int trials;
+    bool crosses;
 } Bounds;
 
 /* The time to try after one with this margin and rate, by Newton's method and at last by halving;
@@ -48,6 +50,7 @@ static inline double better_time(Bounds *self, double t, double inside, double r
         self->high = t;
     else
         self->low = t;
+    self->crosses |= inside < 0;
     if (!(rate < 0 && better >= self->low && better <= self->high) ||
         ++self->trials > MOST_OF_NEWTON)
         better = self->low + (self->high - self->low) / 2;
@@ -112,7 +115,7 @@ static inline int first_at(const Place *place, const double slack[], int found) 
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
     const double *slack = s->slack;
-    Bounds bounds = {begin, end, 0};
+    Bounds bounds = {begin, end, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     int beyond = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
@@ -128,6 +131,10 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         crossing->since = place.rates[i] < 0 ? t - fmin(ahead / speed, longest) : t;
         crossing->time = better_time(&bounds, t, left, place.rates[i]);
         if (crossing->time != t) continue;
+        if (left > ahead && bounds.crosses) { /* and does so now, as the rounding of time tells */
+            crossing->time = bounds.high;
+            continue;
+        }
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }

@@ -45,10 +45,14 @@ static inline Ending ending(Reason reason, int part) {
     return (Ending){reason, part, -1, -1, 0};
 }
 
-/* Whether an input has moved an argument away that was 0, which no equation tells. */
+/* Whether an input has moved an argument away that was 0, which no equation tells. Where other
+ * quantities move it, too, their errors are more than rounding; so is what importers of model
+ * exchange step beyond a boundary. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
     const double way = fabs(past_boundary(laws, s, seen, i));
-    return laws->relations[i].of_input && !(way <= MOVED * s->slack[i]);
+    const int moved = laws->relations[i].moved;
+    const bool exact = moved == BY_INPUTS && !laws->blind;
+    return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
 }
 
 /* Whether the argument of a relation has stayed 0 since its last event. */

@@ -27,7 +27,7 @@ typedef struct {
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
-    double rounded; /* how often time was rounded: at events, in steps of solvers that know none */
+    double rounded; /* how often times and states were rounded: at events and in steps */
     double looked;  /* time at which an importer has looked last */
     double close;   /* events in succession that were close to each other */
     double span;    /* length of the run, or of the experiment where no end is known */

@@ -75,11 +75,9 @@ def law_tables(system: Hybrid, functions: Collection[ca.Function]) -> str:
     names = (f"model_{name}" for name in _FUNCTIONS)
     members = (*(name if name in known else "NULL" for name in names), *_TABLES)
     relations = [
-        (r.floor, of_time, linear, of_input, in_laws, r.at_zero)
-        for r, of_time, linear, of_input, in_laws in zip(
-            system.relations, system.of_time, system.linear, system.of_input, system.in_laws,
-            strict=True,
-        )
+        (r.floor, system.of_time[i], system.linear[i], system.of_input[i] + (i in system.resting),
+         system.in_laws[i], r.at_zero)
+        for i, r in enumerate(system.relations)
     ]  # fmt: skip
     barriers = _barriers(system)
     counts = [len(event.states) for event in system.events], [len(own) for own in barriers]

@@ -8,7 +8,7 @@ from cosim.codegen.compiler import cached_library
 from cosim.fmi.run.c_structures import Functions, Recording
 from cosim.memo import cached_per_thread
 
-_ROWS = dict.fromkeys(("recording", "given", "shown"), ctypes.POINTER(Recording))
+_ROWS = dict.fromkeys(("recording", "given", "shown", "steady"), ctypes.POINTER(Recording))
 
 
 class PartOfC(ctypes.Structure):

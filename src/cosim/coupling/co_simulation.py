@@ -19,6 +19,7 @@ from cosim.coupling.estimate import (
     changes,
     estimated_error,
     frozen_motion,
+    noise_by_restarts,
     reject_noise,
     rounding_of,
 )
@@ -38,7 +39,8 @@ from cosim.coupling.stability import Ranges, reject_instability
 from cosim.coupling.wiring import Wiring
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import by_name, invalidity, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import invalidity, why_it_ended
 from cosim.fmi.run.request import column_of, numeric_names, rounding
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
@@ -187,8 +189,9 @@ class CoSimulation:
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}
         first = max(_FIRST * accuracy, 2 * _TIGHTEST)
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
-        own = np.array([self.parts[name].is_own for name, _ in self.wiring.sources], dtype=bool)
-        may_freeze = ~own & (self.wiring.held[:-1] == 0)
+        few, may = partial(self._in_few_steps, task), self._may_round()
+        span = settings.stop - settings.start
+        noise = noise_by_restarts(few, span, may & bool(fixed)) / 2
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
@@ -207,20 +210,20 @@ class CoSimulation:
                 return self._forced(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
-            rounding = rounding_of(run, sizes, accuracy)
+            unseen = rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
             if last is not None:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
-                reject_noise(run, fixed, accuracy, before, most)
+                reject_noise(run, fixed, accuracy, before, most, unseen)
                 ordered = smooth and not run.events
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
-                estimate += rounding
+                estimate += unseen
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if estimate <= accuracy:
-                    left, few = accuracy - estimate, partial(self._in_few_steps, task)
-                    still = frozen_motion(run, self.wiring.sources, ranges, may_freeze, few, left)
+                    whole, left = partial(few, span), accuracy - estimate
+                    still = frozen_motion(run, self.wiring.sources, ranges, may, whole, left)
                     return replace(run, stats={**run.stats, "error_estimate": estimate + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / estimate / 2)
@@ -238,10 +241,17 @@ class CoSimulation:
             partial=run,
         )
 
-    def _in_few_steps(self, task: _Task, steps: int) -> Ranges:
-        """Return the ranges of the inputs in a run of a few steps with constant inputs."""
-        length = (task.settings.stop - task.settings.start) / steps
+    def _may_round(self) -> Truths:
+        """Return whether each input is driven by a continuous output of a foreign part."""
+        own = [self.parts[name].is_own for name, _ in self.wiring.sources]
+        may: Truths = ~np.array(own, dtype=bool) & (self.wiring.held[:-1] == 0)
+        return may
+
+    def _in_few_steps(self, task: _Task, span: float, steps: int) -> Ranges:
+        """Return the ranges of the inputs in a few steps from the start with constant inputs."""
+        length, stop = span / steps, task.settings.start + span
         settings = replace(task.settings, macro_step=length, interval=length, accuracy=None)
+        settings = replace(settings, stop=stop)
         held = replace(task, settings=replace(settings, method=Method.JACOBI))
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 

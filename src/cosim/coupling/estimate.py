@@ -14,6 +14,8 @@ _FALLS = 0.75  # power of the tolerance with which the error falls; less is on t
 _UNKNOWN = 0.5  # how much of the error is left if no order is known
 _ROUNDED = 1e-12  # of what is constant and passes through loops, of its size
 _FEW_STEPS = (1, 4)  # the second shows what the start does not
+_SHORT = 1e-4, 1e-3, 1e-2, 1e-1  # of the span
+_TRIED = 0.97, 0.83, 0.71, 0.58  # of such a length: no grid of a part fits all
 OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
 
 
@@ -54,19 +56,32 @@ def changes(run: Trajectory, last: Trajectory, left_out: Truths) -> Vector:
 
 
 def reject_noise(
-    run: Trajectory, parts: Sequence[str], accuracy: float, before: float, change: float
+    run: Trajectory,
+    parts: Sequence[str],
+    accuracy: float,
+    before: float,
+    change: float,
+    noise: float,
 ) -> None:
     """Raise an error if a run differs from that before by more than that from its own before.
 
     Args:
         run: With the smaller tolerance.
-        parts: Those that cannot restore a state, whose noise cannot be measured.
+        parts: Those that cannot restore a state.
         accuracy: The largest error that is allowed.
         before, change: The two differences, in nominal values; 0 if there is none.
+        noise: Error by rounding and noise, which no difference shows, in nominal values.
 
     Raises:
-        SolverError: The differences grow.
+        SolverError: The differences grow, or the noise is too large.
     """
+    if noise > accuracy:
+        raise SolverError(
+            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: the noise of "
+            f"{', '.join(parts)}, which cannot restore a state, adds up to {noise:.1g} in "
+            f"{run.stats['macro_steps']} macro steps; allow a larger error, or give macro_step",
+            partial=run,
+        )
     if parts and accuracy < change > 2 * before > 0:
         raise SolverError(
             f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: runs differ by "
@@ -75,6 +90,31 @@ def reject_noise(
             "macro_step",
             partial=run,
         )
+
+
+def noise_by_restarts(in_steps: Callable[[float, int], Ranges], span: float, may: Truths) -> float:
+    """Return by how much a short step from the start differs from two halves, in sizes of inputs.
+
+    This is the noise of parts that cannot restore a state. What they exchange between the halves
+    falls with the square of the length, and is none.
+
+    Args:
+        in_steps: Simulates a time, s, in a number of steps with constant inputs.
+        span: Length of the run, s.
+        may: Whether each input is driven by a continuous output of a part that may round.
+    """
+    noise = shorter = 0.0
+    for length in span * np.array(_SHORT) if may.any() else ():
+        found = 0.0
+        for part in _TRIED:
+            with suppress(SolverError, UsageError):
+                one, two = (in_steps(part * length, steps) for steps in (1, 2))
+                apart = np.abs(one.widths - two.widths)[1] / one.sizes
+                found = max(found, float(apart[may].max()))
+        if found > _ROUNDED and shorter > found / 5:
+            noise = max(noise, found)
+        shorter = found
+    return noise
 
 
 def frozen_motion(

@@ -10,7 +10,7 @@ from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.fmi.run.c_structures import Calls, Functions, addresses_of
-from cosim.fmi.run.instance import is_second
+from cosim.fmi.run.description import is_second
 from cosim.fmi.run.request import nominals_of
 from cosim.memo import cached_per_thread
 

@@ -15,7 +15,7 @@ from cosim.coupling.own_steps import OwnSteps
 from cosim.coupling.settings import Method, Settings
 from cosim.coupling.wiring import Wiring
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.typed_values import start_number
 
 _Result = TypeVar("_Result")
@@ -217,6 +217,7 @@ class OpenSystem:
             place.recording = ctypes.pointer(part.calls.recording(variables, rows.tables[name]))
             place.given = ctypes.pointer(part.given.structure)
             place.shown = ctypes.pointer(part.shown.structure)
+            place.steady = ctypes.pointer(part.steady.structure)
             place.moving_inputs, place.moving_outputs = map(len, moving)
             place.turn = wiring.turns.index(name)
             place.inputs, place.outputs = len(part.inputs), len(part.outputs)

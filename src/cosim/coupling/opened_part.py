@@ -13,13 +13,8 @@ from cosim.coupling.exchange_part import ExchangeSolver
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
 from cosim.fmi.run.c_structures import Calls, Functions, Recorded
-from cosim.fmi.run.instance import (
-    Interface,
-    asks_for_inputs,
-    begin_initialization,
-    by_name,
-    is_second,
-)
+from cosim.fmi.run.description import Interface, asks_for_inputs, by_name, is_second
+from cosim.fmi.run.instance import begin_initialization
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.run.request import lost_state
 from cosim.fmi.run.typed_values import REALS, is_continuous
@@ -119,7 +114,6 @@ class OpenedPart:
         if interpolates and second and getattr(abilities, "canInterpolateInputs", False):
             self.order = InputOrder.CUBIC if self.is_own else InputOrder.LINEAR
         events = getattr(abilities, "hasEventMode", False) and Ability.EVENTS not in unused
-        events = events and all(map(is_continuous, self.inputs))  # others change in that mode only
         self.event_mode = exchange or (self.rolls_back and events)
         self.any_step = exchange or bool(abilities.canHandleVariableCommunicationStepSize)
         internal = getattr(abilities, "fixedInternalStepSize", None)
@@ -139,12 +133,6 @@ class OpenedPart:
             fmu.callback["intermediateUpdate"] = callback
 
     def _reject_for_exchange(self, unused: Collection[Ability]) -> None:
-        discrete = [variable.name for variable in self.inputs if not is_continuous(variable)]
-        if discrete:
-            raise UsageError(
-                f"part '{self.name}' is for model exchange, where only continuous inputs can be "
-                f"driven, and {', '.join(discrete)} is not; export it for co-simulation"
-            )
         if Ability.EVENTS in unused:
             raise UsageError(
                 f"part '{self.name}' is for model exchange, which always has event mode; leave "
@@ -181,10 +169,13 @@ class OpenedPart:
         if instance is not self.instance:
             self.instance, self.calls = instance, Calls(instance, self.description)
             self.lost_state = lost_state(instance, self.description)
-            self.given, self.shown = (
+            steady = [v for v in self.inputs if is_continuous(v)]
+            self.given, self.shown, self.steady = (
                 Recorded(instance, self.description, variables)
-                for variables in (self.inputs, self.outputs)
+                for variables in (self.inputs, self.outputs, steady)
             )
+            if not self.event_mode:
+                self.steady = self.given
         found = {n: value for n, value in experiment.items() if value is not None}
         self._experiment = {**found, "stopTime": scale}
         begin_initialization(self.instance, self.description, values, **experiment)
@@ -247,11 +238,15 @@ def _exchanges(fmu: OpenedFmu) -> bool:
 def _in_order(
     variables: Iterable[Any], moves: Callable[[Any], bool] = lambda _: True
 ) -> tuple[list[Any], list[Any]]:
-    """Return the variables that may have derivatives by time, real scalars, and then all others."""
+    """Return the variables that may have derivatives by time, real scalars, and then all others.
+
+    Those that change at events only are the last.
+    """
     ordered = sorted(variables, key=lambda variable: variable.name)
     real = [v for v in ordered if v.type in ("Real", "Float64") and not isinstance(v, Element)]
     moving = [v for v in real if moves(v)]
-    return moving, [*moving, *(v for v in ordered if v not in moving)]
+    others = [v for v in ordered if v not in moving]
+    return moving, [*moving, *sorted(others, key=lambda v: not is_continuous(v))]
 
 
 def _whole(variable: Any) -> Any:

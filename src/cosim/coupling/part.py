@@ -14,7 +14,7 @@ from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
-from cosim.fmi.run.instance import by_name, read_description, unit_of
+from cosim.fmi.run.description import by_name, read_description, unit_of
 from cosim.fmi.run.request import holds_value, is_settable
 from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS
 from cosim.fmi.units import Measured, change_of_units, units_for

@@ -1,6 +1,6 @@
 """`Signals`: a part of a system that drives inputs by formulas of time and tables."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -10,13 +10,14 @@ from casadi_models.dae.coupled import Connection
 from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.coupling.connectors import Connector, End
-from cosim.coupling.part import Part, free_name, part_of
+from cosim.coupling.part import Part, Variable, free_name, part_of
 from cosim.coupling.values import target
 from cosim.errors import UsageError
 from cosim.fmi.run.typed_values import is_continuous, series_value
 from cosim.integrate.keywords import requested
 from cosim.model.driving import driven, with_held, with_tables
 from cosim.model.inputs import InputSeries
+from cosim.model.values import number
 from cosim.trajectory import Trajectory
 
 MOST_SAMPLES = 1000  # of a table, each of which is an event
@@ -68,9 +69,13 @@ class Signals:
         held = dict[str, Callable[[Any], float]]()
         for text, law in inputs.items():
             unit, ends = _driven(owner, parts, connectors, text)
-            for variable in (parts[part].variable(own) for (part, own), *_ in ends):
-                if not is_continuous(variable):
-                    held[text] = partial(series_value, owner, variable)
+            switched = [
+                (end, variable)
+                for end in ends
+                if not is_continuous(variable := parts[end.variable[0]].variable(end.variable[1]))
+            ]
+            if switched:
+                held[text] = partial(_number_for, owner, switched)
             symbol = model.input(f"u{len(laws)}", unit, 0.0, text)
             model.output(f"y{len(laws)}", unit, symbol, text)
             laws[text] = law
@@ -105,6 +110,18 @@ def _driven(
         if not variable.is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
     return unit if unit and parse_unit(unit) else "1", ends
+
+
+def _number_for(owner: str, ends: Sequence[tuple[End, Variable]], value: object) -> float:
+    """Return the number of a value, if each of the variables that it sets can have its own."""
+    first = ends[0][1]
+    if isinstance(value, str):
+        given = series_value(owner, first, value)
+    else:
+        given = float(value) if isinstance(value, bool) else number(owner, first.name, value)
+    for end, variable in ends:
+        series_value(owner, variable, end.factor * given + end.offset)
+    return given
 
 
 def _following(dae: Dae, inputs: Mapping[str, Any], times: Vector) -> Dae:

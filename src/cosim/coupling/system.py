@@ -25,7 +25,7 @@ from cosim.coupling.values import values_of
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError, naming_arguments_of
 from cosim.fmi.archive import naming_places
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import Interface
+from cosim.fmi.run.description import Interface
 from cosim.fmi.ssp import write_ssp
 from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder

@@ -74,6 +74,7 @@ def values_of(
             plain = _plain(key, value, unit, units)
         else:
             plain = value_of_text(key[0], other, value)
+            plain = int(plain) if isinstance(plain, bool) else plain
         for end, variable in zip(ends, variables, strict=True):
             same = (end.factor, end.offset) == (1.0, 0.0)
             own = plain if same else end.factor * plain + end.offset

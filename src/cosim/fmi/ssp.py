@@ -12,7 +12,7 @@ from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
-from cosim.fmi.run.instance import unit_of
+from cosim.fmi.run.description import unit_of
 from cosim.fmi.run.typed_values import RANGES, REALS, start_number
 from cosim.fmi.units import definitions
 from cosim.model.values import number

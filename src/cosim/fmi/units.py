@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from casadi_models.units import Unit, conversion, parse_unit
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import unit_of
+from cosim.fmi.run.description import unit_of
 
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _ROUNDING = 1e-6  # relative, of a factor that a file writes with few digits

@@ -205,8 +205,9 @@ def scaled_call(
         UsageError, ParameterError, MissingTool: See `engine_of`.
     """
     t, span = problem.grid[0], tuple[float, ...]()
-    if in_pieces:
-        problem, solver, span = in_own_time(problem, solver)
+    late = abs(t) > np.ptp(problem.grid)
+    if in_pieces or late:
+        problem, solver, span = in_own_time(problem, solver, in_pieces=in_pieces)
     p = start.values.p
     if not isinstance(solver, AdaptiveSolver):
         numbers = start.x, start.z, np.append(p, span), start.values.u
@@ -239,18 +240,22 @@ def scaled_call(
     return replace(reached, states=reached.states * x, algebraics=reached.algebraics * z)
 
 
-def in_own_time(problem: Problem, solver: Solver) -> tuple[Problem, Solver, tuple[float, ...]]:
+def in_own_time(
+    problem: Problem, solver: Solver, *, in_pieces: bool
+) -> tuple[Problem, Solver, tuple[float, ...]]:
     """Return a problem over times from 0 to 1, its solver, and its begin and length, s.
 
-    Pieces of a run whose lengths differ by rounding are then equal problems, with one engine. The
-    last item is empty, and nothing changes, where an engine for other times is cheap, or times are
-    too close for SUNDIALS.
+    Pieces of a run whose lengths differ by rounding are then equal problems, with one engine; and
+    no step is rounded as a late time is. The last item is empty, and nothing changes, where an
+    engine for other times is cheap, or times are too close for SUNDIALS.
     """
     grid = problem.grid
     begin, end = grid[[0, -1]].tolist()
     length = end - begin
     unit = power(_SAME_TIMES * np.spacing(max(-begin, end)) / length)
-    shares = np.round((grid - begin) / length / unit) * unit
+    shares = (grid - begin) / length
+    if in_pieces:
+        shares = np.round(shares / unit) * unit
     cheap = problem.compiled and solver.takes_times
     if cheap or np.diff(shares).min() <= _CLOSE_SHARES:
         return problem, solver, ()

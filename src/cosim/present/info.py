@@ -10,8 +10,8 @@ from typing import Any
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
-from cosim.errors import InitialConditionError
-from cosim.fmi.archive import entry_content, opened
+from cosim.errors import FmuError, InitialConditionError
+from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.passed_over import watched_terms
@@ -177,7 +177,10 @@ def _variable_row(variable: Variable, start: float | None) -> dict[str, Any]:
 
 def _fmu_info(path: Path) -> Info:
     with opened(path) as archive:
-        described = parse(entry_content(archive, "modelDescription.xml"))
+        try:
+            described = parse(entry_content(archive, DESCRIPTION))
+        except ValueError as error:
+            raise FmuError(f"{path}: {DESCRIPTION}: {error}") from error
     root = described.root
     experiment = root.find("DefaultExperiment")
     span = {} if experiment is None else experiment.attrib

@@ -10,7 +10,8 @@ import numpy as np
 from cosim.arrays import Vector
 from cosim.errors import FmuError
 from cosim.fmi.run.c_structures import c_type
-from cosim.fmi.run.instance import getter_name, is_second
+from cosim.fmi.run.description import is_second
+from cosim.fmi.run.instance import getter_name
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
 _LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
@@ -223,12 +224,9 @@ class StateCalls:
         self.saved.append(state)
         return len(self.saved) - 1
 
-    def go_back(self, number: int) -> bool:
-        """Set the state of a number; return whether there is one."""
-        if number >= len(self.saved):
-            return False
+    def go_back(self, number: int) -> None:
+        """Set the state of a number."""
         self._call(self._put, self._instance, self.saved[number])
-        return True
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:
@@ -239,7 +237,7 @@ def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -
         free: The C function.
         saved: Pointers to the states.
     """
-    if getattr(instance, "is_fatal", False):
+    if instance.fatal.value:
         return
     for state in saved:
         if state.value:

@@ -1,7 +1,6 @@
 """`Copies`: many copies of a model that are advanced together."""
 
 import io
-import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, Protocol, Self
 
@@ -51,8 +50,8 @@ class Engine(Protocol):
     def fits(self, arrays: Mapping[str, Vector]) -> bool:
         """Tell whether arrays may be the saved state of as many copies of the model."""
 
-    def restore(self, arrays: Mapping[str, Vector]) -> None:
-        """Set a saved state, which fits."""
+    def restore(self, arrays: Mapping[str, Vector]) -> dict[int, str]:
+        """Set a saved state, which fits; return why copies have failed whose FMUs reject theirs."""
 
 
 @naming_arguments_of
@@ -255,10 +254,11 @@ class Copies:
         return content.getvalue()
 
     def restore(self, saved: bytes) -> None:
-        """Go back, or forward, to a saved state.
+        """Go back, or forward, to a saved state. A copy whose FMU rejects its state has failed.
 
         Raises:
-            UsageError: The bytes are no saved state of as many copies of this model, or damaged.
+            UsageError: The bytes are no saved state of as many copies of this model, or damaged;
+                then no copy is changed.
         """
         engine = self._require()
         UsageError.reject(f"{self.name}: restore", saved, bytes, "what save has returned")
@@ -267,19 +267,20 @@ class Copies:
                 arrays = dict(content)
             model, (now, first, length, count) = str(arrays.pop("model")), arrays.pop("clock")
             texts = [arrays.pop(f"{n}_{p}") for n in ("reasons", "invalid") for p in ("at", "text")]
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:
             raise UsageError(f"{self.name}: these bytes are no saved copies, or damaged") from error
         if model != self.name or not engine.fits(arrays):
             raise UsageError(
                 f"{self.name}: these bytes were saved by copies of another model, or by another "
                 "number of them"
             )
-        engine.restore(arrays)
+        rejected = engine.restore(arrays)
         self._clock = Clock(float(now), float(first), float(length), int(count))
         engine.reasons, engine.invalid = (
             dict(zip(at.astype(int).tolist(), text.tolist(), strict=True))
             for at, text in (texts[:2], texts[2:])
         )
+        engine.reasons |= rejected
 
     # -- checks -------------------------------------------------------------------------------
 

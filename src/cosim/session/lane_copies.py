@@ -182,7 +182,8 @@ class LaneCopies:
         shapes = ({n: (a.shape, a.dtype) for n, a in rows.items()} for rows in (arrays, self._rows))
         return next(shapes) == next(shapes)
 
-    def restore(self, arrays: Mapping[str, Vector]) -> None:
+    def restore(self, arrays: Mapping[str, Vector]) -> dict[int, str]:
         """Set a saved state; see `Engine.restore`."""
         self._rows = {name: np.array(column) for name, column in arrays.items()}
         self._known = None
+        return {}

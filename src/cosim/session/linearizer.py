@@ -8,7 +8,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.request import output_names
 from cosim.integrate.modes import hybrid
 from cosim.model.catalogue import observable

@@ -12,7 +12,7 @@ from cosim.coupling.files import is_system, read_system
 from cosim.coupling.settings import Method
 from cosim.coupling.system import System
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import Interface
+from cosim.fmi.run.description import Interface
 from cosim.fmi.run.request import FmuRequest
 from cosim.integrate.ensemble.simulate_many import lane_solver
 from cosim.integrate.keywords import requested

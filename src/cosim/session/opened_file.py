@@ -11,7 +11,8 @@ from casadi_models.dae import Dae
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
-from cosim.fmi.run.instance import Interface, choose_interface, instantiated, read_description
+from cosim.fmi.run.description import Interface, choose_interface, read_description
+from cosim.fmi.run.instance import instantiated
 from cosim.fmi.trust import is_made_here
 from cosim.host.temporary import temporary_folder
 from cosim.memo import cached_per_thread

@@ -83,7 +83,7 @@ class PartStates:
         for states in self._kept:
             for part, state in zip(self._parts.values(), states, strict=True):
                 functions = part.functions
-                if state.value:
+                if state.value and not part.instance.fatal.value:
                     _CALL(functions.free_fmu_state)(functions.stepper, ctypes.byref(state))
 
     def _call(self, part: OpenedPart, field: str, place: Any) -> None:

@@ -15,7 +15,7 @@ _HEAD = struct.Struct("<8s16s3d3q")
 _BEGIN = _SUM.size + _HEAD.size
 _FORMAT = b"session3"
 
-Clock = tuple[float, float, float, int]
+ClockFacts = tuple[float, float, float, int]
 
 
 def notes_of(instances: Sequence[Any]) -> bytes:
@@ -36,7 +36,7 @@ def take_notes(instances: Sequence[Any], notes: bytes) -> None:
 
 
 def packed(
-    owner: bytes, clock: Clock, number: int, notes: bytes, state: bytes, *, has_sum: bool
+    owner: bytes, clock: ClockFacts, number: int, notes: bytes, state: bytes, *, has_sum: bool
 ) -> bytes:
     """Return the bytes of a session.
 
@@ -54,7 +54,7 @@ def packed(
 
 def unpacked(
     session: str, saved: bytes, *, has_sum: bool
-) -> tuple[bytes, Clock, int, bytes, bytes]:
+) -> tuple[bytes, ClockFacts, int, bytes, bytes]:
     """Return owner, clock, number, notes and state.
 
     Raises:

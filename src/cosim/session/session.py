@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
-from cosim.fmi.run.instance import by_name, initialize, why_it_ended
-from cosim.fmi.run.request import checked_values, output_names
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import initialize, why_it_ended
+from cosim.fmi.run.request import checked_values, lost_state, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
@@ -22,8 +23,8 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem, with_present_sides
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
-from cosim.session.saved import damaged, notes_of, packed, take_notes, unpacked
-from cosim.session.values import Values, inputs_of, plain_value
+from cosim.session.saved import ClockFacts, damaged, notes_of, packed, take_notes, unpacked
+from cosim.session.values import Values, finite, inputs_of, plain_value
 from cosim.trajectory import Event
 
 _LARGEST = 64  # resets that are prepared
@@ -114,6 +115,9 @@ class Session(Life):
         self._instance, self._explained = self._file.instance(self._stack)
         self._events: list[tuple[float, str]] = self._instance.logged_events
         self._calls = PreparedCalls(self._instance, self._description)
+        # one that was exported here rejects a step to such a state
+        is_own = self._file.is_own
+        self._lost_state = None if is_own else lost_state(self._instance, self._description)
         self._used = False
         self._values = Values(self.name, self._description, self._calls, self._check, self.outputs)
         self._linearizers: dict[Any, Linearizer] = {}
@@ -192,6 +196,10 @@ class Session(Life):
             self._reason = why_it_ended(log)
         else:
             clock.reach(target, step)
+            if self._lost_state and (lost := self._lost_state()):
+                self._fail(
+                    FmuError(f"{self.name}: its state {lost} is not finite at {target:.12g} s")
+                )
         if not self._events:
             return ()
         found = tuple(Event(at, name, {}, {}) for at, name in self._events)
@@ -231,11 +239,14 @@ class Session(Life):
 
         Raises:
             UnknownName, UsageError: A variable does not exist, or is not one number.
-            FmuError: A value is not defined, or the session has failed or is closed.
+            FmuError: A value is not finite, or the session has failed or is closed.
         """
         if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
-        return self._values.get(names)
+        found = self._values.get(names)
+        if self._lost_state is None:
+            return found
+        return finite(self.name, self.outputs if names is None else names, found, self.time)
 
     # -- states -------------------------------------------------------------------------------
 
@@ -278,22 +289,32 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        if self._phase is not Phase.RUNNING:
-            self._reject_closed()
-        is_own = self._file.is_own
-        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=is_own)
-        if owner != self._owner:
-            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
-            raise UsageError(f"{self.name}: these bytes were saved by another {what}")
+        clock, place, notes, content = self.checked_state(saved)
         if self._serializes:
             if not self._states.restore(content):
                 self._instance.log_texts.clear()
                 raise damaged(self.name)
-        elif not self._states.go_back(place):
-            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+        else:
+            self._states.go_back(place)
         self._clock = Clock(*clock)
         take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
+
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
+        """Return clock, number, notes and bytes of a saved state that is one of this session.
+
+        Raises:
+            UsageError, FmuError: See `restore`.
+        """
+        if self._phase is not Phase.RUNNING:
+            self._reject_closed()
+        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=self._file.is_own)
+        if owner != self._owner:
+            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
+            raise UsageError(f"{self.name}: these bytes were saved by another {what}")
+        if not self._serializes and place >= len(self._states.saved):
+            raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
+        return clock, place, notes, content
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
@@ -364,7 +385,7 @@ class Session(Life):
         from fmpy.fmi1 import FMICallException
 
         if status == FATAL:
-            self._instance.is_fatal = True
+            self._instance.fatal.value = True
         prefix = f"fmi{2 if self._calls.second else 3}"
         error = self._explained(FMICallException(function=f"{prefix}{function}", status=status))
         self._instance.log_texts.clear()
@@ -386,5 +407,5 @@ class Session(Life):
 
     def _reject_closed(self) -> None:
         super()._reject_closed()
-        if getattr(self._instance, "is_fatal", False):
+        if self._instance.fatal.value:
             raise FmuError(f"{self.name}: the FMU has reported a fatal error; open it again")

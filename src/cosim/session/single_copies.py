@@ -85,7 +85,8 @@ class SingleCopies:
         table = np.full((len(names), len(self._sessions)), np.nan)
         for number, session in enumerate(self._sessions):
             if number not in self._failed:
-                table[:, number] = session.get(names)
+                with _naming(number):
+                    table[:, number] = session.get(names)
         return table
 
     def save(self) -> dict[str, Vector]:
@@ -100,18 +101,28 @@ class SingleCopies:
     def fits(self, arrays: Mapping[str, Vector]) -> bool:
         """Tell whether arrays may be a saved state; see `Engine.fits`."""
         known = arrays.keys() == {"lengths", "content"}
-        return known and arrays["lengths"].shape == (len(self._sessions),)
+        if not known or arrays["lengths"].shape != (len(self._sessions),):
+            return False
+        for number, state in self._states_in(arrays).items():  # before any is set
+            with _naming(number):
+                self._sessions[number].checked_state(state)
+        return True
 
-    def restore(self, arrays: Mapping[str, Vector]) -> None:
+    def restore(self, arrays: Mapping[str, Vector]) -> dict[int, str]:
         """Set a saved state; see `Engine.restore`."""
-        ends = np.cumsum(arrays["lengths"])
-        parts = np.split(arrays["content"], ends[:-1])
-        for number, (session, part) in enumerate(zip(self._sessions, parts, strict=True)):
-            if part.size:
-                session.restore(part.tobytes())
-                self._failed.discard(number)
-            else:
-                self._failed.add(number)
+        states, rejected = self._states_in(arrays), dict[int, str]()
+        for number, state in states.items():
+            try:
+                self._sessions[number].restore(state)
+            except CosimError as error:
+                rejected[number] = str(error)
+        self._failed = {*range(len(self._sessions))} - {*states} | {*rejected}
+        return rejected
+
+    def _states_in(self, arrays: Mapping[str, Vector]) -> dict[int, bytes]:
+        """Return the saved states by number of the copy, of those that have one."""
+        states = np.split(arrays["content"], np.cumsum(arrays["lengths"])[:-1])
+        return {number: state.tobytes() for number, state in enumerate(states) if state.size}
 
 
 def _of(values: Mapping[str, Any], place: int) -> dict[str, Any]:

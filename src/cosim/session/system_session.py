@@ -24,7 +24,8 @@ from cosim.coupling.system import System
 from cosim.coupling.values import target, values_of
 from cosim.errors import FmuError, ParameterError, UsageError
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.instance import access_to, by_name, why_it_ended
+from cosim.fmi.run.description import by_name
+from cosim.fmi.run.instance import access_to, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed
@@ -32,8 +33,8 @@ from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
-from cosim.session.saved import notes_of, packed, take_notes, unpacked
-from cosim.session.values import may_change, not_settable, sequence_by_name
+from cosim.session.saved import ClockFacts, notes_of, packed, take_notes, unpacked
+from cosim.session.values import finite, may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
 
 _LARGEST = 64  # lists of variables whose calls are prepared
@@ -105,7 +106,8 @@ class SystemSession(Life):
             settings = replace(settings, start=start, stop=stop)
         self._phase = Phase.FAILED
         self._begun.close()
-        vars(self).pop("_states", None)
+        for name in ("_states", "_saver"):
+            vars(self).pop(name, None)
         self._selections: dict[Any, list[tuple[Any, ...]]] = {}
         with self._system.naming_files():
             run = self._instances.opened(settings, values, self._called, ends=self._ends)
@@ -250,7 +252,7 @@ class SystemSession(Life):
         for part, access, columns, factors, offsets in groups:
             with explained(self.name, part):
                 found[columns] = factors * np.array(access.get(), dtype=float) + offsets
-        return found
+        return finite(self.name, chosen, found, self.time)
 
     def _selection(self, names: tuple[str, ...]) -> list[tuple[Any, ...]]:
         """Prepare what reads variables."""
@@ -289,9 +291,12 @@ class SystemSession(Life):
     @cached_property
     def _states(self) -> PartStates:
         found = PartStates(self.name, self._instances.parts)
-        self._saver = self._identity() if found.serializes else uuid.uuid4().bytes
         self._begun.callback(found.free)
         return found
+
+    @cached_property
+    def _saver(self) -> bytes:
+        return self._identity() if self._states.serializes else uuid.uuid4().bytes
 
     def save(self) -> bytes:
         """Return the state of all parts and of the master; see `Session.save`.
@@ -313,18 +318,9 @@ class SystemSession(Life):
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
-        self._reject_closed()
-        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=False)
-        if not self._run.is_open:
-            raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
-        states = self._states
-        if owner != self._saver:
-            raise UsageError(
-                f"{self.name}: these bytes were saved by another session or system, or with "
-                "another macro_step"
-            )
+        clock, place, notes, content = self.checked_state(saved)
         self._phase = Phase.FAILED
-        size = 8 * self._run.numbers(None)
+        size, states = 8 * self._run.numbers(None), self._states
         if states.serializes:
             states.read(content[size:])
         else:
@@ -333,6 +329,24 @@ class SystemSession(Life):
         self._clock = Clock(*clock)
         take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
+
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
+        """Return clock, number, notes and bytes of a saved state; see `Session.checked_state`."""
+        self._reject_closed()
+        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=False)
+        if not self._run.is_open:
+            raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
+        for name, part in self._instances.parts.items():
+            if part.instance.fatal.value:
+                raise FmuError(
+                    f"{self.name}: part '{name}' has reported a fatal error; begin again with reset"
+                )
+        if owner != self._saver:
+            raise UsageError(
+                f"{self.name}: these bytes were saved by another session or system, or with "
+                "another macro_step"
+            )
+        return clock, place, notes, content
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""

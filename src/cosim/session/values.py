@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
-from cosim.fmi.run.instance import by_name, unit_of
+from cosim.errors import FmuError, UnknownName, UsageError
+from cosim.fmi.run.description import by_name, unit_of
 from cosim.fmi.run.typed_values import is_number, typed_value
 from cosim.fmi.units import units_for
 from cosim.model.quantities import quantity
@@ -109,6 +109,17 @@ class Values:
         groups = self._calls.groups([self._variables[name] for name in chosen])
         self._selections[chosen if names is not None else None] = groups
         return groups
+
+
+def finite(owner: str, names: Sequence[str], values: Vector, time: float) -> Vector:
+    """Return values, (n,), after a check that all of them are finite."""
+    good = np.isfinite(values)
+    if not good.all():
+        raise FmuError(
+            f"{owner}: {names[int(np.argmin(good))]} is not finite at {time:.12g} s; leave it out "
+            "of the names if it has no value"
+        )
+    return values
 
 
 def sequence_by_name(owner: str, names: Sequence[str], values: Any) -> dict[str, Any]:

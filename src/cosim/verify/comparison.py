@@ -220,7 +220,7 @@ def compare(
     if gaps.all(axis=0).any():
         name = names[int(np.argmax(gaps.all(axis=0)))]
         raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
-    sizes = _nominals(first) if by_nominal else _sizes(first, second)
+    sizes, small = (_nominals(first),) * 2 if by_nominal else _sizes(first, second)
     scaled = np.abs(values) / sizes
     scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
@@ -228,8 +228,9 @@ def compare(
         at = int(np.argmax(own))
         differences.append(Difference(name, float(own[at]), float(first.time[at]), size))
     differences.sort(key=lambda difference: -difference.scaled)
-    if gaps.any():
-        note = f"{note}{'; ' * bool(note)}gaps left out: {gaps.sum()}"
+    left_out = f"gaps left out: {gaps.sum()}" if gaps.any() else ""
+    unsure = _unsure(names, scaled, sizes, small, bound)
+    note = "; ".join(filter(None, (note, left_out, unsure)))
     title = f"{labels[1]} minus {labels[0]}"
     residuals = Trajectory(title, first.time, runs[0].columns, values)
     return Comparison(*labels, tuple(differences), residuals, runs, bound, note)
@@ -252,8 +253,12 @@ def _nominals(run: Trajectory) -> Vector:
     return np.array([column.nominal for column in run.columns])
 
 
-def _sizes(first: Trajectory, second: Trajectory) -> Vector:
-    """Return what differences are divided by: nominal values, or how large small states become."""
+def _sizes(first: Trajectory, second: Trajectory) -> tuple[Vector, Vector]:
+    """Return what differences are divided by, and the largest values of small states.
+
+    The first are nominal values, or how large small states become, unless that may be errors; the
+    second include the latter, and are nominal values for all others.
+    """
     sizes = _nominals(first)
     states = np.array([column.is_state for column in first.columns])
     own = states.copy()
@@ -261,9 +266,24 @@ def _sizes(first: Trajectory, second: Trajectory) -> Vector:
         own &= _nominals(run) == NOT_GIVEN
     largest = np.maximum(*(np.nan_to_num(np.abs(r.values)).max(axis=0) for r in (first, second)))
     relative, zero = Tolerance(first.stats.get("relative_tolerance") or Tolerance.relative).pair
+    small = np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
     # what the other states make of a state that is 0 by symmetry is no smaller than their errors
     zero = max(zero, _LARGEST_ERROR * relative * largest[states].max(initial=0.0))
-    return np.where(own & (largest > zero), np.minimum(largest, sizes), sizes)
+    return np.where(largest > zero, small, sizes), small
+
+
+def _unsure(
+    names: Sequence[str], scaled: Vector, sizes: Vector, small: Vector, bound: float
+) -> str:
+    """Return which small state differs most for its own size; empty if none is above a bound."""
+    most = np.where(small < sizes, scaled.max(axis=0) * sizes / small, 0.0)
+    place = int(most.argmax())
+    if most[place] <= bound:
+        return ""
+    return (
+        f"{names[place]} differs by {most[place]:.1g} of its largest value {small[place]:.1g}, "
+        "which the errors of larger states may reach: set its nominal value"
+    )
 
 
 def _on_common_times(

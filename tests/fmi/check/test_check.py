@@ -103,7 +103,7 @@ FAULTS = {
     "Outputs: dependencies of 'theta' are not ascending": set_attributes(
         f"{STRUCTURE}/Outputs/Unknown", dependencies="3 2"
     ),
-    "source file 'gone.c' is listed, but missing": set_attributes(
+    "listed source files are missing: 'gone.c'": set_attributes(
         "CoSimulation/SourceFiles/File", name="gone.c"
     ),
     "was compiled for another GUID": set_attributes(".", guid="{another}"),

@@ -10,6 +10,7 @@ from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
+from cosim.fmi.check.trials.start import reset
 
 QUICK = tuple(trial for trial in TRIALS if trial is not sources)
 TWICE = "{ fmi2Status s = CALL; for (size_t i = 0; i < n; i++) value[i] *= 2; return s; }"
@@ -39,6 +40,24 @@ MUTATIONS = {  # wrapped functions, what is found
     "input derivatives without effect": (
         HELD,
         {(WRONG, "motion")},
+    ),
+    "a parameter that instances share": (
+        {
+            "fmi2SetReal": "for (size_t i = 0; i < n; i++) "
+            "if (vr[i] == REF(rate)) limit = value[i]; return CALL;",
+            "fmi2EnterInitializationMode": "const fmi2ValueReference r = REF(rate); "
+            "const double v = limit; return v > 0 && fmi2SetReal(c, &r, 1, &v) ? fmi2Error : CALL;",
+        },
+        {(WRONG, "instances")},
+    ),
+    "stored states that share their memory": (
+        {
+            "fmi2GetFMUstate": "static fmi2FMUstate one; if (!*state) *state = one; "
+            "const fmi2Status s = CALL; one = *state; return s;",
+            "fmi2FreeFMUstate": "(void)c, (void)&inner_fmi2FreeFMUstate; *state = NULL; "
+            "return fmi2OK;",
+        },
+        {(WRONG, "rollback")},
     ),
     "derivatives of outputs": ({"fmi2GetRealOutputDerivatives": TWICE}, {(WRONG, "slopes")}),
     "standard output": (
@@ -99,6 +118,20 @@ def test_adjoint_derivative_that_is_wrong_is_found(tmp_path):
 def test_answer_of_fmi_3_that_is_wrong_is_found(function, change, rule, tmp_path):
     path = wrapped(tmp_path, {"fmi": 3}, **{function: f"fmi3Status s = CALL; {change}; return s;"})
     assert (WRONG, rule) in found(path)
+
+
+@pytest.mark.slow
+def test_sign_of_0_is_no_difference(tmp_path):
+    model = Model("rest", description="rest", source="a test", stop_time=1.0)
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, -x)
+    negative = (
+        "fmi2Status s = CALL; for (size_t i = 0; limit && i < n; i++) if (value[i] == 0) "
+        "value[i] = -0.0; "
+    )
+    bodies = {"fmi2Reset": "limit = 1; return CALL;", "fmi2GetReal": f"{negative}return s;"}
+    path = wrapped(tmp_path, {}, model.freeze(), **bodies)
+    assert try_apart(path, timeout=24.0, trials=(reset,)).findings == []
 
 
 @pytest.mark.slow

@@ -234,3 +234,12 @@ def test_nominal_value_that_is_not_positive_counts_as_1(master, tmp_path):
     path = wrapped(tmp_path, fmi2GetNominalsOfContinuousStates=zero)
     run = cosim.simulate_fmu(path, interface="ModelExchange", master=master)
     assert run.final["y"] == pytest.approx(2 * np.exp(-0.5), rel=1e-4)
+
+
+@INTERFACES
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_no_value_is_read_after_the_end(master, interface, tmp_path):
+    lost = "fmi2Status s = CALL; for (size_t i = 0; limit && i < n; i++) value[i] = NAN; return s;"
+    path = wrapped(tmp_path, fmi2Terminate="limit = 1; return CALL;", fmi2GetReal=lost)
+    run = cosim.simulate_fmu(path, interface=interface, master=master)
+    assert run.final["y"] == pytest.approx(2 * np.exp(-0.5), rel=1e-4)

@@ -135,6 +135,22 @@ def test_nonsense_is_refused_in_one_sentence(arguments, error, reason, fmus):
         cosim.simulate_fmu(fmus["decay", 2], **arguments)
 
 
+def test_version_that_is_not_read_is_told(fmus, tmp_path):
+    edit = set_attributes(".", fmiVersion="1.0")
+    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", edit)
+    with pytest.raises(
+        FmuError, match=r"x\.fmu: .*fmiVersion is '1\.0'; 2\.0 and 3\.0 can be read"
+    ):
+        cosim.info(path)
+
+
+def test_file_without_variables_is_told(fmus, tmp_path):
+    edit = remove(".", "ModelVariables")
+    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", edit)
+    with pytest.raises(FmuError, match=r"x\.fmu: modelDescription\.xml has no ModelVariables;"):
+        cosim.simulate_fmu(path)
+
+
 def test_interface_that_the_fmu_lacks_is_told(fmus, tmp_path):
     path = with_description(fmus["decay", 2], tmp_path / "x.fmu", remove(".", "CoSimulation"))
     assert cosim.simulate_fmu(path).stats["solver"] == "fmpy ModelExchange"
@@ -151,9 +167,23 @@ def test_library_is_looked_for_in_its_own_folder_only(identifier, fmus, tmp_path
 
 
 @VERSIONS
+def test_library_may_have_a_name_with_dashes(fmi, fmus, tmp_path):
+    name, content = library(fmus["decay", fmi])
+    renamed = {name: None, name.replace("decay", "decay-1.0"): content}
+    path = rewritten(fmus["decay", fmi], tmp_path / "x.fmu", renamed)
+    with pytest.raises(
+        FmuError, match=r"'decay' stands for decay\.\w+, but .* is decay-1\.0\.\w+;"
+    ):
+        cosim.simulate_fmu(path)
+    edit = set_attributes("CoSimulation", modelIdentifier="decay-1.0")
+    run = cosim.simulate_fmu(with_description(path, tmp_path / "y.fmu", edit), stop_time=1.0)
+    assert run.final["x"] == pytest.approx(np.exp(-0.5), rel=1e-7)
+
+
+@VERSIONS
 def test_missing_platform_is_told(fmi, fmus, tmp_path):
     name, content = library(fmus["decay", fmi])
-    moved = {name: None, "binaries/beos/decay.so": content}
+    moved = {name: None, "binaries/beos/decay.so": content, f"{name.rpartition('/')[0]}/": b""}
     path = rewritten(fmus["decay", fmi], tmp_path / "x.fmu", moved)
     with pytest.raises(FmuError, match=r"has a binary only for beos, none for .*--platform"):
         cosim.simulate_fmu(path)
@@ -169,7 +199,7 @@ def test_missing_platform_is_told(fmi, fmus, tmp_path):
 def test_library_that_cannot_be_loaded_is_told(content, fmus, tmp_path):
     name, _ = library(fmus["decay", 2])
     path = rewritten(fmus["decay", 2], tmp_path / "x.fmu", {name: content})
-    with pytest.raises(FmuError, match=r"x\.fmu: Failed to load shared library"):
+    with pytest.raises(FmuError, match=r"x\.fmu: Failed to load shared library binaries/"):
         cosim.simulate_fmu(path)
 
 

@@ -4,6 +4,8 @@ import errno
 import os
 import pickle
 import shutil
+import subprocess
+import sys
 from contextlib import ExitStack
 
 import numpy as np
@@ -157,6 +159,30 @@ def test_a_second_writer_is_rejected_and_a_pickled_store_is_read(folder):
         assert pickle.loads(pickle.dumps(store))["a"].shape == (40, 5)
     with Store.opened(layout(), folder, resume=True):
         pass
+
+
+FULL = """
+import errno, os, pathlib, sys
+import numpy as np
+from cosim.study.sweep.folder import Folder
+usual = pathlib.Path.replace
+def full(path, target):
+    if "/c/" in pathlib.Path(target).as_posix():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    return usual(path, target)
+pathlib.Path.replace = full
+try:
+    Folder(pathlib.Path(sys.argv[1])).add("p", (400,), (1,), ("run",), np.arange(400.0), {})
+except OSError as error:
+    print(error.strerror)
+"""
+
+
+@pytest.mark.slow
+def test_no_write_is_left_open_where_one_finds_the_disk_full(tmp_path):
+    words = [sys.executable, "-c", FULL, str(tmp_path / "store")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == (f"{os.strerror(errno.ENOSPC)}\n", "")
 
 
 def test_a_full_disk_ends_in_one_sentence(folder, monkeypatch):

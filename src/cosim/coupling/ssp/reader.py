@@ -21,7 +21,7 @@ from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_s
 from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName
 from cosim.fmi.archive import naming_places
-from cosim.fmi.run.instance import Interface
+from cosim.fmi.run.description import Interface
 from cosim.fmi.run.typed_values import typed_value
 from cosim.fmi.units import Measured
 

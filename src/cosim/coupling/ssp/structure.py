@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 from casadi_models.units import Unit
 from cosim.coupling.ssp.package import Document
 from cosim.errors import FmuError
-from cosim.fmi.run.instance import INTERFACES
+from cosim.fmi.run.description import INTERFACES
 from cosim.fmi.units import Measured
 
 Place = tuple[str, ...]  # names of the systems around an element, and its own

@@ -17,6 +17,7 @@ from cosim.fmi.check.parsed import Description, fmi_version, listed_sources, par
 from cosim.fmi.export.build import fmi_headers
 from cosim.fmi.platforms import PLATFORMS, Target
 from cosim.fmi.shared_library import read_libraries
+from cosim.text import shortened
 
 
 def examine(source: Source) -> tuple[Finding, ...]:
@@ -40,6 +41,7 @@ _ONLY = {
     r"Get\w*Status|EnterStepMode",
     "ScheduledExecution": r"\w*ScheduledExecution|ActivateModelPartition",
 }
+_MOST_NAMES = 5
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # all that FMI allows
 
 
@@ -76,10 +78,10 @@ def findings_of(archive: zipfile.ZipFile, *, libraries: bool = True) -> Iterator
         yield rule.about(DESCRIPTION, str(error)).within(DESCRIPTION)
         return
     yield from (finding.within(DESCRIPTION) for finding in description_findings(described))
-    for name in dict.fromkeys(listed_sources(archive, described)):
-        if f"sources/{name}" not in archive.namelist():
-            found = f"source file '{name}' is listed, but missing"
-            yield RULES["sources"].about("archive", found)
+    listed, present = dict.fromkeys(listed_sources(archive, described)), {*archive.namelist()}
+    if missing := [f"'{name}'" for name in listed if f"sources/{name}" not in present]:
+        found = f"listed source files are missing: {shortened(missing, _MOST_NAMES)}"
+        yield RULES["sources"].about("archive", found)
     yield from _binaries(archive, described, libraries)
 
 

@@ -31,7 +31,7 @@ from cosim.fmi.check.trials.start import (
 from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, steps, stop
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import bounds, defaults, settings
-from cosim.fmi.run.instance import INTERFACES, choose_interface
+from cosim.fmi.run.description import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
 from cosim.host.limits import chosen_limits

@@ -44,6 +44,8 @@ def sources(bench: Bench, kind: str) -> Iterator[Finding]:
         raise Skipped(f"they are those of {first}")
     if not build.files:
         raise Skipped("it lists no sources")
+    if not all((bench.folder / "sources" / name).is_file() for name in build.files):
+        raise Skipped("listed sources are missing")
     if foreign := [name for name in build.libraries if name not in _SYSTEM]:
         raise Skipped(f"its sources need {', '.join(foreign)}")
     if any(not name.endswith(".c") for name in build.files):

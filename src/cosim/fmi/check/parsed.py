@@ -115,7 +115,7 @@ def parse(content: bytes) -> Description:
         raise ValueError(f"not well-formed: {error}") from error
     version = root.get("fmiVersion", "")
     if version != "2.0" and not version.startswith("3.0"):
-        raise ValueError(f"fmiVersion is '{version}'; 2.0 and 3.0 can be checked")
+        raise ValueError(f"fmiVersion is '{version}'; 2.0 and 3.0 can be read")
     major = version[0]
     found = {name: root.find(name) for name in ("ModelExchange", "CoSimulation")}
     listed = root.findall("ModelVariables/*")

@@ -11,7 +11,8 @@ from cosim.arrays import Vector
 from cosim.codegen.c_fields import fields
 from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
-from cosim.fmi.run.instance import getter_name, is_second
+from cosim.fmi.run.description import is_second
+from cosim.fmi.run.instance import getter_name
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
 KINDS: dict[str, Any] = {
@@ -155,7 +156,10 @@ class Calls:
             if (name := names[version - 2]) is not None
         }
         own = instance.component
-        self.functions = Functions(version=version, instance=own, stepper=own, **found)
+        fatal = ctypes.addressof(instance.fatal)
+        self.functions = Functions(
+            version=version, instance=own, stepper=own, is_fatal=fatal, **found
+        )
         self._recorded: dict[tuple[Any, ...], Recorded] = {}
 
     def recording(self, variables: Sequence[Any], rows: Vector) -> Recording:

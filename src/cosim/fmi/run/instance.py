@@ -1,36 +1,24 @@
 """fmpy's instance of an unpacked FMU: created, initialized, and with errors that say why."""
 
 import ctypes
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from enum import StrEnum
-from functools import cache, lru_cache
+from functools import cache
 from itertools import count
 from math import inf
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
 
-from cosim.errors import FmuError, SecurityError, UnknownName
-from cosim.fmi.archive import DESCRIPTION, flat_names
+from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Access, Element
+from cosim.fmi.run.description import Interface, by_name, is_second
 from cosim.fmi.run.typed_values import reject_beyond_bounds
-from cosim.host.temporary import loads_no_library
-from cosim.text import Violation, described, sentence
+from cosim.text import Violation, sentence
 
-
-class Interface(StrEnum):
-    """An interface of the FMI: who integrates."""
-
-    MODEL_EXCHANGE = "ModelExchange"  # the importer
-    CO_SIMULATION = "CoSimulation"  # the solver in the FMU
-
-
-INTERFACES = tuple(Interface)
-_MOST_LETTERS = 200  # of a library's name; file systems take 255
 _OF_CVODE = re.compile(r"CVode error \(code -?\d+\) in module \w+, function \S+: ")
 _TOO_MANY_STEPS = "mxstep steps taken"  # CVODE's words
 _FEWER_STEPS = (
@@ -52,16 +40,6 @@ _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "updateDiscreteStates": "newDiscreteStates",
 }
 _OK, _FATAL = 0, 4  # a status after which no function of the FMU may be called
-
-
-def is_second(description: Any) -> bool:
-    """Tell whether a file is of FMI 2."""
-    return str(description.fmiVersion).startswith("2")
-
-
-def asks_for_inputs(description: Any) -> bool:
-    """Tell whether an FMU asks for cubic inputs within its communication steps (FMI 3.0)."""
-    return getattr(description.coSimulation, "recommendedIntermediateInputSmoothness", 0) >= 3
 
 
 def initialize(
@@ -146,122 +124,6 @@ def enter_continuous_time(instance: Any) -> float:
     return next_event
 
 
-def read_description(folder: Path, name: object) -> Any:
-    """Return fmpy's model description of an unpacked FMU.
-
-    An FMU that this package exported with structured names has two names for a variable: the flat
-    one, which every backend uses, and the structured one as its alias.
-
-    Raises:
-        FmuError: The description cannot be read, or is of another version than FMI 2 and 3.
-    """
-    from fmpy.model_description import VariableAlias, read_model_description
-
-    try:
-        description = read_model_description(str(folder), validate=False)
-        root = ET.parse(folder / DESCRIPTION).getroot()
-        names = flat_names(root)
-    except Exception as error:
-        reason = described(error)
-        raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
-    if str(description.fmiVersion).startswith("1"):
-        raise FmuError(f"{name} is of FMI 1.0, which cannot be run; export it as FMI 2.0 or 3.0")
-    for variable in description.modelVariables:
-        if variable.name in names:
-            variable.aliases = [VariableAlias(name=variable.name)]
-            variable.name = names[variable.name]
-    _drop_inverse_display_units(description, root)
-    _read_overlooked(description, root)
-    if not is_second(description):  # fmpy does not read the flag of FMI 3
-        for kind in (description.modelExchange, description.coSimulation):
-            for element in root.iterfind(type(kind).__name__):
-                flag = element.get("providesDirectionalDerivatives")
-                kind.providesDirectionalDerivative = flag in ("true", "1")
-    return description
-
-
-def _drop_inverse_display_units(description: Any, root: ET.Element) -> None:
-    """Remove the display units that are reciprocals, for which fmpy has no attribute."""
-    for unit, element in zip(
-        description.unitDefinitions, root.iterfind("UnitDefinitions/Unit"), strict=True
-    ):
-        inverse = {
-            display.get("name")
-            for display in element.iterfind("DisplayUnit")
-            if display.get("inverse") in ("true", "1")
-        }
-        unit.displayUnits = [d for d in unit.displayUnits if d.name not in inverse]
-
-
-def _read_overlooked(description: Any, root: ET.Element) -> None:
-    """Read what fmpy overlooks: `relativeQuantity` and the bounds of unsigned integers."""
-    elements = {e.get("name"): (e, *e[:1]) for e in root.iterfind("ModelVariables/*")}
-    for variable in description.modelVariables:
-        own = elements.get(variable.name, ())
-        if any(e.get("relativeQuantity") in ("true", "1") for e in own):
-            variable.relativeQuantity = True
-        if own and variable.type.startswith("UInt"):
-            variable.min, variable.max = (own[0].get(end) for end in ("min", "max"))
-
-
-def choose_interface(
-    folder: Path, description: Any, requested: str | None, name: object
-) -> Interface:
-    """Return the requested interface, or by default co-simulation if the FMU has it.
-
-    Raises:
-        UnknownName: There is no such interface in the FMI.
-        FmuError: The FMU does not have it, or no binary for this machine, or none can be
-            loaded from the folder.
-        SecurityError: The library's name leads out of its folder.
-    """
-    if requested is not None and requested not in INTERFACES:
-        raise UnknownName.among("cosim", "interface", requested, INTERFACES)
-    has = {
-        Interface.MODEL_EXCHANGE: description.modelExchange,
-        Interface.CO_SIMULATION: description.coSimulation,
-    }
-    default = Interface.CO_SIMULATION if description.coSimulation else Interface.MODEL_EXCHANGE
-    kind = Interface(requested) if requested else default
-    if not has[kind]:
-        other = next((offered for offered in INTERFACES if has[offered]), None)
-        if other is None:
-            raise FmuError(
-                f"{name} offers scheduled execution only; export it for model exchange or "
-                "co-simulation"
-            )
-        raise FmuError(f"{name} has no {kind} interface; it has {other}")
-    _find_library(folder, description, has[kind].modelIdentifier, name)
-    if loads_no_library(folder):
-        raise FmuError(
-            f"{name} was unpacked in {folder.parent}, on a file system mounted noexec, from which "
-            "no binary can be loaded; set TMPDIR to another folder"
-        )
-    return kind
-
-
-def _find_library(folder: Path, description: Any, identifier: str, name: object) -> None:
-    import fmpy
-
-    if not (identifier.isascii() and identifier.isidentifier()):
-        shown = sentence(identifier)
-        raise SecurityError(f"{name}: modelIdentifier '{shown}' is no C name; do not use it")
-    if len(identifier) > _MOST_LETTERS:
-        raise FmuError(f"{name}: its modelIdentifier has {len(identifier)} letters; do not use it")
-    own = fmpy.platform if is_second(description) else fmpy.platform_tuple
-    if (folder / "binaries" / own / f"{identifier}{fmpy.sharedLibraryExtension}").is_file():
-        return
-    others = sorted(path.name for path in (folder / "binaries").glob("*") if path.is_dir())
-    has = f"only for {', '.join(others)}" if others else "for no platform"
-    if str(description.generationTool).startswith("cosim"):
-        remedy = "export it with --platform"
-    elif not others and (folder / "sources").is_dir():
-        remedy = "compile its sources, e.g. with fmpy compile"
-    else:
-        remedy = "run it there, or ask its author for one for this platform"
-    raise FmuError(f"{name} has a binary {has}, none for {own}; {remedy}")
-
-
 @contextmanager
 def instantiated(
     folder: Path, description: Any, kind: str, name: object, **callback: Any
@@ -295,7 +157,7 @@ def instantiated(
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
             advice.append(_CLOSER)
         reasons = dict.fromkeys(map(sentence, (reason, *violations[:1], *last, *advice)))
-        return FmuError(f"{name}: {'; '.join(reasons)}")
+        return FmuError(f"{name}: {'; '.join(reasons)}".replace(f"{folder}{os.sep}", ""))
 
     key = next(_KEYS)
     with ExitStack() as afterwards:
@@ -379,6 +241,7 @@ def _instance(folder: Path, description: Any, kind: Interface, key: int, **callb
         unzipDirectory=str(folder),
         instanceName=None,
     )
+    instance.fatal = ctypes.c_longlong()
     if not is_second(description):
         instance.instantiate(loggingOn=True, logMessage=_LOGS[key], **callback)
         return instance
@@ -407,14 +270,14 @@ def _checked_class(second: bool, exchange: bool) -> type:
         try:
             result = base._call(self, function, *arguments)
         except FMICallException as error:
-            self.is_fatal = error.status == _FATAL
+            self.fatal.value |= error.status == _FATAL
             raise
         if isinstance(result, int) and result < 0:
             raise FmuError(f"{function} returned {result}, which is no status of the FMI")
         return result
 
     def free(self: Any) -> None:
-        if not getattr(self, "is_fatal", False):
+        if not self.fatal.value:
             base.freeInstance(self)
 
     def step_as_in_fmi_3(self: Any, time: float, size: float) -> tuple[bool, bool, bool, float]:
@@ -482,17 +345,3 @@ def may_be_set(variable: Any) -> bool:
     if variable.start is None or variable.variability == "constant":
         return False
     return variable.causality == "input" or variable.initial in ("exact", None)
-
-
-def unit_of(variable: Any) -> str | None:
-    """Return the unit of a variable or of its type; None if it has none."""
-    declared = variable.declaredType
-    return variable.unit or (declared.unit if declared else None)
-
-
-@lru_cache(8)
-def by_name(description: Any) -> Mapping[str, Any]:
-    """Return the variables by name, and by their other names."""
-    variables = {variable.name: variable for variable in description.modelVariables}
-    aliases = {a.name: v for v in variables.values() for a in getattr(v, "aliases", ())}
-    return aliases | variables

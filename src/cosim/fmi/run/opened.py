@@ -22,16 +22,13 @@ from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
+from cosim.fmi.run.description import Interface, asks_for_inputs, choose_interface, read_description
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
-    Interface,
-    asks_for_inputs,
-    choose_interface,
     enter_continuous_time,
     initialize,
     instantiated,
     invalidity,
-    read_description,
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python
@@ -79,6 +76,7 @@ class OpenedFmu:
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
         self._master: CompiledMaster | None = None
+        self._is_spoilt = False  # whether nothing of the library may be called any more
 
     def contains(self, name: str) -> bool:
         """Tell whether there is a file of this name in it."""
@@ -130,7 +128,9 @@ class OpenedFmu:
         ready = perf_counter()
         try:
             found = self._driven(instance, request, master)
-            _reject_not_finite(found, request, lost_state(instance, self.description)())
+            lost = lost_state(instance, self.description)()
+            instance.terminate()  # after which some FMUs have no values
+            _reject_not_finite(found, request, lost)
         except BaseException as error:
             self._drop()  # its state is unknown
             if isinstance(error, Exception) and not isinstance(error, MissingTool):
@@ -172,10 +172,13 @@ class OpenedFmu:
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
         """Return an instance, fresh or reset, and a function that adds its log to an error.
 
-        What it has logged before is forgotten.
+        What it has logged before is forgotten. After a fatal error it is of another copy of the
+        library, as nothing of that one may be called.
         """
-        if not self.reset_is_enough:
+        if not self.reset_is_enough or (self._instance and self._instance[0].fatal.value):
             self._drop()
+        if self._is_spoilt:
+            self._folder, self._is_spoilt = self._open.enter_context(unpacked(self.path)), False
         if self._instance is None:
             facts = (self._folder, self.description, self.interface, self.path)
             self._instance = self._live.enter_context(instantiated(*facts, **self.callback))
@@ -192,6 +195,7 @@ class OpenedFmu:
         return instance, explained
 
     def _drop(self) -> None:
+        self._is_spoilt |= bool(self._instance and self._instance[0].fatal.value)
         self._live.close()
         self._instance = self._master = None
 
@@ -239,7 +243,7 @@ class CompiledMaster:
         self._calls = Calls(instance, description)
 
     def run(self, request: FmuRequest) -> MasterRun:
-        """Initialize the FMU and run it.
+        """Initialize the FMU and run it; it is not terminated yet.
 
         Raises:
             FmuError: A call failed, or the FMU stopped without ending the run.
@@ -282,7 +286,6 @@ class CompiledMaster:
                 deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
             deviations.note(run.time)
             deviations.judge(run.steps)
-        instance.terminate()
         rows.setflags(write=False)
         stats = {"steps": run.steps, "events": run.events}
         if run.how == Ending.ENDED_BY_FMU:

@@ -19,9 +19,9 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.fmi.run.description import Interface
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
-    Interface,
     access_to,
     enter_continuous_time,
     initialize,
@@ -39,7 +39,7 @@ _STEPS_OF_A_RUN = 50  # the least number of steps of a run by CVODE, as in fmpy
 
 
 def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
-    """Initialize an FMU and run it.
+    """Initialize an FMU and run it; it is not terminated yet.
 
     Raises:
         Exception: A call of the FMU or the solver failed.
@@ -54,7 +54,6 @@ def run_in_python(instance: Any, request: FmuRequest) -> MasterRun:
             recorder = _Recorder(instance, request)
             with doing("running the FMU", recorder.fraction):
                 stats, growth = loop(instance, request, recorder, interrupts)
-            instance.terminate()
         except Exception as error:
             if interrupts:
                 raise KeyboardInterrupt from error

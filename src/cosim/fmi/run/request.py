@@ -11,13 +11,8 @@ import numpy as np
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Layout, elements_of, with_elements
-from cosim.fmi.run.instance import (
-    Interface,
-    access_to,
-    by_name,
-    may_be_set,
-    unit_of,
-)
+from cosim.fmi.run.description import Interface, by_name, unit_of
+from cosim.fmi.run.instance import access_to, may_be_set
 from cosim.fmi.run.typed_values import (
     is_continuous,
     is_number,

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any
 
 from cosim.errors import UsageError
-from cosim.fmi.run.instance import Interface, by_name
+from cosim.fmi.run.description import Interface, by_name
 from cosim.fmi.run.opened import Master, OpenedFmu, still_open
 from cosim.fmi.run.request import TIME, WHY_NOT_TIME, FmuRequest, rounding
 from cosim.model.request import choice

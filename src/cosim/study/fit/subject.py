@@ -10,7 +10,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import SolverError, UnknownName
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.opened import still_open
 from cosim.fmi.run.request import column_of
 from cosim.fmi.run.simulate import simulate_fmu

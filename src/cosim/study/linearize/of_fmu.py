@@ -10,14 +10,8 @@ import numpy as np
 from cosim.arrays import Truths, Vector
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.instance import (
-    by_name,
-    choose_interface,
-    enter_continuous_time,
-    initialize,
-    instantiated,
-    read_description,
-)
+from cosim.fmi.run.description import by_name, choose_interface, read_description
+from cosim.fmi.run.instance import enter_continuous_time, initialize, instantiated
 from cosim.fmi.run.request import checked_values, output_names
 from cosim.fmi.run.typed_values import is_number
 from cosim.study.linearize.linearization import Linearization

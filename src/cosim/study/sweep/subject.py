@@ -16,7 +16,7 @@ from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, UsageError
-from cosim.fmi.run.instance import by_name
+from cosim.fmi.run.description import by_name
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.trust import is_made_here

@@ -19,13 +19,8 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import Described, Description, parse
-from cosim.fmi.run.instance import (
-    Interface,
-    by_name,
-    enter_continuous_time,
-    instantiated,
-    read_description,
-)
+from cosim.fmi.run.description import Interface, by_name, read_description
+from cosim.fmi.run.instance import enter_continuous_time, instantiated
 from cosim.fmi.run.python_master import run_in_python
 from cosim.fmi.run.request import FmuRequest
 
@@ -215,6 +210,7 @@ class Bench:
             if watch:
                 watch(instance)
             found = run_in_python(instance, request)
+            instance.terminate()
         return found.times, found.rows
 
     @property

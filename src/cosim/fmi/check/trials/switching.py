@@ -14,13 +14,8 @@ from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import Bench, Note, Skipped, reject_lateness
 from cosim.fmi.run.arrays import Access
-from cosim.fmi.run.instance import (
-    Interface,
-    access_to,
-    by_name,
-    enter_continuous_time,
-    update_discrete_states,
-)
+from cosim.fmi.run.description import Interface, by_name
+from cosim.fmi.run.instance import access_to, enter_continuous_time, update_discrete_states
 from cosim.fmi.run.typed_values import NUMERIC
 
 _TIGHT = 1e-10  # relative tolerance of the reference

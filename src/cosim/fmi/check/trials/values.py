@@ -13,7 +13,8 @@ from cosim.fmi.check.finding import TRIAL_RULES, Finding
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
 from cosim.fmi.run.arrays import Element, with_elements
-from cosim.fmi.run.instance import Interface, access_to, may_be_set
+from cosim.fmi.run.description import Interface
+from cosim.fmi.run.instance import access_to, may_be_set
 from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS, start_number
 
 _ROUNDING = 1e-6  # of a start value, as people write it
