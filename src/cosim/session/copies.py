@@ -315,7 +315,7 @@ class Copies:
             if column.dtype.kind not in "iu":  # integers from 2^53 on are no floats
                 column = column.astype(float)
         except (TypeError, ValueError) as error:
-            raise ParameterError(f"{self.name}: {name}: {error}; give numbers in SI units") from error
+            raise ParameterError(f"{self.name}: {name}: {error}; give numbers") from error
         if column.shape != (count,):
             raise ParameterError(
                 f"{self.name}: {name} has the shape {column.shape}; give one number for each of "
