@@ -24,6 +24,11 @@ def visible(text: str, *, lines: bool = False) -> str:
     return _UNSEEN.sub(lambda m: m[0] if lines and m[0] in "\n\t" else ascii(m[0])[1:-1], text)
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, e.g. "1 run", "2 runs" or "no runs"."""
+    return f"{number or 'no'} {noun}{'s' * (number != 1)}"
+
+
 def sentence(text: str) -> str:
     """Return a foreign message as one line of bounded length."""
     line = visible(" ".join(text.split()))

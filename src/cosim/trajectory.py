@@ -24,7 +24,7 @@ from cosim.series.csv_file import read_samples, shortest, write_csv
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
 from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
-from cosim.text import MOST_LINES, Table, html_table
+from cosim.text import MOST_LINES, Table, counted, html_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -490,10 +490,9 @@ class Trajectory:
         return of_rows(Rows(own.time, own.values))
 
     def _headline(self) -> str:
-        times = "no time" if not len(self) else "1 time" if len(self) == 1 else f"{len(self)} times"
+        times = counted(len(self), "time")
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self) else ""
-        count = len(self.columns)
         stop = f", stopped where {self.stats['stop']}" if "stop" in self.stats else ""
         solver = f", {self.stats['solver']}" if "solver" in self.stats else ""
-        variables = f"{count} variable{'s' * (count != 1)}"
+        variables = counted(len(self.columns), "variable")
         return f"{self.model}: {times}{span}, {variables}{solver}, {self.status}{stop}"

@@ -23,16 +23,23 @@ class Changes(NamedTuple):
     Attributes:
         parts: Begin and end of each, in order.
         low, high: Range of the function, as far as it is known.
-        is_whole: Whether the function is a line in all that was not halved to the end.
+        unknown: Begins of the cells in which it may be no line, although they were halved.
     """
 
     parts: list[tuple[float, float]]
     low: float
     high: float
-    is_whole: bool
+    unknown: Vector
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the function is a line in all that was not halved to the end."""
+        return not len(self.unknown)
 
 
-NOTHING = Changes([], np.nan, np.nan, is_whole=False)
+def unseen(edges: Vector) -> Changes:
+    """Return that nothing is known of a function within cells."""
+    return Changes([], np.nan, np.nan, edges[:-1])
 
 
 Values = Callable[[Vector], Vector]  # a function at values of its variable
@@ -46,11 +53,9 @@ def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vect
         values, bounds, edges: See `changing_parts`; bounds are None if there are none.
         knots: Values of the variable at which the function has samples of its own.
     """
-    changes = NOTHING if bounds is None else changing_parts(values, bounds, edges)
-    parts = {*changes.parts}
-    if not changes.is_whole:
-        parts |= {*_sampled_changes(values, edges, knots).parts}
-    return apart(sorted(parts))
+    changes = unseen(edges) if bounds is None else changing_parts(values, bounds, edges)
+    sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes)
+    return apart(sorted({*changes.parts, *sampled}))
 
 
 def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
@@ -64,7 +69,7 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     """
     ends = values(edges)
     if not np.isfinite(ends).any():
-        return NOTHING
+        return unseen(edges)
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
     begins, widths = edges[:-1], np.diff(edges)
     least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
@@ -85,11 +90,10 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
+    unknown = begins[~line]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
-    return Changes(
-        _changing(values, begins, begins + widths, high - low), low, high, bool(line.all())
-    )
+    return Changes(_changing(values, begins, begins + widths, high - low), low, high, unknown)
 
 
 def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:
@@ -111,22 +115,28 @@ def changes_between(values: Values, knots: Vector) -> Changes:
     """Return which parts between knots, where alone a function bends, it changes in."""
     seen = values(knots)
     low, high = float(seen.min()), float(seen.max())
-    return Changes(_changing(values, knots[:-1], knots[1:], high - low), low, high, is_whole=True)
+    parts = _changing(values, knots[:-1], knots[1:], high - low)
+    return Changes(parts, low, high, np.empty(0))
 
 
-def _sampled_changes(values: Values, edges: Vector, knots: Vector) -> Changes:
-    """Return where a function bends within cells as samples show, and its values at its knots."""
+def _sampled_changes(
+    values: Values, edges: Vector, knots: Vector, known: Changes
+) -> list[tuple[float, float]]:
+    """Return where a function bends within cells as samples show, and its values at its knots.
+
+    Only the cells are sampled in which bounds do not tell.
+    """
     own = knots[(edges[0] < knots) & (knots < edges[-1])]
+    unknown = np.unique(edges.searchsorted(known.unknown, "right") - 1)
     shares = np.arange(_SAMPLES) / _SAMPLES
-    inner = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
+    inner = (edges[unknown, None] + np.diff(edges)[unknown, None] * shares).ravel()
     at = np.unique(np.concatenate((inner, own, edges)))
     seen = values(at)
-    size = float(np.ptp(seen))
+    size = float(np.fmax(np.ptp(seen), known.high - known.low))
     off = np.abs(seen - np.interp(at, edges, np.interp(edges, at, seen))) > _STRAIGHT * size
     cells = np.clip(edges.searchsorted(at, "right") - 1, 0, len(edges) - 2)
     bent = np.bincount(cells, off, len(edges) - 1)[cells[:-1]] > 0
-    parts = _changing(values, at[:-1][bent], at[1:][bent], size)
-    return Changes(parts, float(seen.min()), float(seen.max()), is_whole=True)
+    return _changing(values, at[:-1][bent], at[1:][bent], size)
 
 
 def apart(parts: list[tuple[float, float]]) -> list[Vector]:

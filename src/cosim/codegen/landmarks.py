@@ -7,7 +7,7 @@ events starts anew at these places, with steps from one to the next.
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -25,7 +25,6 @@ from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
     FLAT,
-    NOTHING,
     apart,
     changes_between,
     changing_parts,
@@ -129,6 +128,8 @@ def landmarks(dae: Dae) -> Landmarks:
                 for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
             )
             needed = [change for change in needed if change not in fixed]
+        if len(movers) == 1:
+            needed = _without_repeated(dae, needed, p)
         many = sum(len(change.places) for change in needed) > _MOST
         if many or not all(change.is_whole for change in needed):
             passed.append(name)
@@ -141,6 +142,25 @@ def landmarks(dae: Dae) -> Landmarks:
     return Landmarks(
         arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
     )
+
+
+def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:
+    """Return changes in one state without places near those of others, such as of its slopes.
+
+    A place is left out that is nearer to another one than half of the way to its own neighbor.
+    Those that follow parameters remain before those that do not.
+    """
+    every, found = np.empty(0), list[_Change]()
+    for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
+        with np.errstate(divide="ignore", invalid="ignore"):  # a factor may be 0 at the start
+            at = way_of(dae, change.term, change.places, p)
+            gaps = np.abs(np.diff(at, prepend=np.nan, append=np.nan))
+            room = np.nan_to_num(np.fmin(gaps[:-1], gaps[1:]) / 2, posinf=0.0)
+            is_near = (np.abs(at[:, None] - every) <= room[:, None]).any(axis=1)
+        every = np.append(every, at[~is_near])
+        if not is_near.all():
+            found.append(replace(change, places=change.places[~is_near]))
+    return found
 
 
 def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
@@ -167,8 +187,10 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
             return np.fmin(*(np.array(o).ravel() for o in off(begins[None], widths[None], p)))
 
         found = changing_parts(values, beyond, edges)
+    elif len(knots) > 1:
+        found = changes_between(values, knots)
     else:
-        found = changes_between(values, knots) if len(knots) > 1 else NOTHING
+        return []
     if not found.is_whole:
         return []
     changes = list[_Change]()
@@ -265,7 +287,7 @@ def _depends(dae: Dae, expression: SX) -> list[Variable]:
 def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
     """Return the values of what moves a term at values of its variable."""
     (mover,) = term.movers
-    symbol = ca.vertcat(dae.x, dae.t)[mover]
+    symbol = ca.vertcat(dae.x, dae.t, dae.z, dae.u)[mover]
     line = [term.variable, ca.jacobian(term.variable, symbol)]
     value, slope = ca.Function("line", [symbol, dae.p], line)(0, p)
     return np.asarray((places - float(value)) / float(slope))

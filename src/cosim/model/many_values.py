@@ -52,7 +52,7 @@ def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, V
         try:
             columns[name] = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError) as error:
-            raise ParameterError(f"{owner}: {name}: {error}; give numbers") from error
+            raise ParameterError(f"{owner}: {name}: {error}; give numbers in SI units") from error
         if columns[name].ndim > 1:
             raise ParameterError(
                 f"{owner}: {name} has the shape {columns[name].shape}; give one number per run"

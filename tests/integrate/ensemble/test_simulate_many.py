@@ -351,3 +351,16 @@ def test_dataset_holds_the_reason_of_each_run():
         "invalid from 0.771 s: ",
         "",
     ]
+
+
+def test_names_are_found_and_numbers_of_runs_are_words():
+    dae = cosim.load("crank_shaft")
+    one = cosim.simulate_many(dae, {"omega": [40.0]}, output_times=[1.0], outputs=["phi"])
+    assert "phi" in one
+    assert "omega" not in one
+    assert [*one] == ["phi"]
+    assert (
+        repr(one).splitlines()[0] == "crank_shaft/driven: 1 run, 1 time from 1 to 1 s, 1 complete"
+    )
+    none = cosim.simulate_many(dae, {"omega": []}, output_times=[1.0], outputs=["phi"])
+    assert repr(none).splitlines()[0] == "crank_shaft/driven: no runs, 1 time from 1 to 1 s"

@@ -462,3 +462,18 @@ def test_command_without_workers_survives_an_fmu_that_aborts(tmp_path, capsys):
     assert [row[2] for row in rows] == ["complete", "failed", "complete"]
     assert "the FMU crashed (SIGABRT) while it ran" in rows[1][3]
     assert [float(row[-1]) for row in rows[::2]] == pytest.approx([3.0, 5.0], rel=1e-12)
+
+
+def test_summary_has_the_first_reason_and_names_can_be_asked_for():
+    def fails(run):
+        raise ValueError("no such number")
+
+    found = cosim.sweep(
+        "crank_shaft", {"omega": [40.0]}, keep=[fails, "final"], workers=0, stop_time=0.1
+    )
+    assert "crank_shaft/driven: 1 run, 1 failed" in repr(found)
+    assert "1 with a reason, the first one: run 0: " in repr(found)
+    assert "no such number" in repr(found)
+    assert "omega" in found
+    assert "phi" not in found
+    assert [*found] == ["omega", *found.numbers]

@@ -14,6 +14,7 @@ from cosim.model.quantities import reject_mixed_units
 from cosim.study.sweep.samples import Samples, chosen_samples
 from cosim.study.sweep.subject import Subject, open_subject
 from cosim.study.sweep.sweep import sweep
+from cosim.text import counted
 
 _OF_SWEEP = ("keep", "store", "resume", "scheduler", "workers")
 _OF_RUNS = (
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.output_file, result.csv_text())
     if args.json:
         show_table(result.rows(), as_json=True)
-    note(args, f"{len(result)} runs: {result.status}")
+    note(args, f"{counted(len(result), 'run')}: {result.status}")
     return 1 if args.strict and not result.complete.all() else 0
 
 

@@ -15,7 +15,7 @@ from cosim.errors import UnknownName, naming_arguments_of
 from cosim.host.optional_packages import optional_module
 from cosim.model.values import whole
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
-from cosim.text import MOST_LINES, Table, sentence, short_reason, text_table
+from cosim.text import MOST_LINES, Table, counted, sentence, short_reason, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
@@ -178,6 +178,12 @@ class Ensemble:
         """Whether Ctrl-C ended the runs."""
         return RunState.INTERRUPTED in self.states
 
+    def __contains__(self, name: object) -> bool:
+        return name == "time" or name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
     def __getitem__(self, name: str) -> Vector:
         """Return the values of a variable, (runs, times), or "time", (times,).
 
@@ -287,21 +293,14 @@ class Ensemble:
         for column, own in zip(self.columns, np.moveaxis(self.values, 2, 0), strict=True):
             rows.append(range_row(column.name, column.shown_unit, column.shown(own)))
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
-        facts = f"{len(self)} runs, {len(self.time)} times{span}"
-        return Table(tuple(rows), f"{self.model}: {facts}, {self.status}")
+        facts = [counted(len(self), "run"), counted(len(self.time), "time") + span, self.status]
+        return Table(tuple(rows), f"{self.model}: {', '.join(filter(None, facts))}")
 
     def __repr__(self) -> str:
         table = self.summary()
         lines = [table.caption, text_table(table.rows, most=MOST_LINES - 2)]
-        notable = [i for i in range(len(self)) if self.reason(i)]
-        if notable:
-            first = f"run {notable[0]}: {sentence(self.reason(notable[0]))}"
-            lines.append(f"{len(notable)} with a reason, the first one: {first}")
-        if self.notes:
-            number, note = next(iter(self.notes.items()))
-            first = f"run {number}: {sentence(note)}"
-            lines.append(f"{len(self.notes)} with a note, the first one: {first}")
-        return "\n".join(lines)
+        reasons = {i: self.reason(i) for i in range(len(self)) if self.reason(i)}
+        return "\n".join([*lines, *first_of("reason", reasons), *first_of("note", self.notes)])
 
     def _repr_html_(self) -> str:
         return self.summary()._repr_html_()
@@ -345,6 +344,14 @@ def varied_rows(varied: Mapping[str, Vector], units: Mapping[str, str]) -> list[
 def unit_fact(units: Mapping[str, str], name: str) -> dict[str, str]:
     """Return the unit of a quantity as the attribute of an array, if it has one."""
     return {"units": units[name]} if units.get(name) else {}
+
+
+def first_of(what: str, texts: Mapping[int, str]) -> list[str]:
+    """Return a line that counts texts by run and holds the first one; none without texts."""
+    if not texts:
+        return []
+    run, text = next(iter(texts.items()))
+    return [f"{len(texts)} with a {what}, the first one: run {run}: {sentence(text)}"]
 
 
 def range_row(name: str, unit: str, values: Vector) -> dict[str, Any]:

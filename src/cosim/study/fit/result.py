@@ -17,7 +17,7 @@ from cosim.files import write_atomically
 from cosim.integrate.keywords import requested
 from cosim.model.values import whole
 from cosim.study.fit.subject import ModelSubject, Subject
-from cosim.text import html_table, text_table
+from cosim.text import counted, html_table, text_table
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import Comparison, compare, plot_comparisons
 
@@ -189,10 +189,8 @@ class Fit:
             f"{name} {float(self._shown(name, size)):.3g} {self._column(name).shown_unit}"
             for name, size in self.noise.items()
         )
-        return (
-            f"{self.subject.name}: {len(self.x)} values fitted to {self.samples} measured ones; "
-            f"residuals (standard deviation): {noise}"
-        )
+        fitted = f"{counted(len(self.x), 'value')} fitted to {self.samples} measured ones"
+        return f"{self.subject.name}: {fitted}; residuals (standard deviation): {noise}"
 
     def _column(self, name: str) -> Column:
         return next(run for run in self.runs if name in run).column(name)

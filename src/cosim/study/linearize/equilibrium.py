@@ -13,6 +13,7 @@ from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import InitialConditionError
 from cosim.model.values import Values
 from cosim.study.linearize.spectrum import without_influence
+from cosim.text import counted
 
 MOST_NEWTON_STEPS = 60
 
@@ -84,7 +85,7 @@ class _Search:
                     return x, f"its initial state, {_article(self.kind)}"
                 most = movable[int(moved.argmax())]
                 name, unit = dae.states[most].name, f" {dae.states[most].unit}".removesuffix(" 1")
-                steps = f"{step} step{'s' * (step != 1)}"
+                steps = counted(step, "step")
                 return x, (
                     f"{_article(self.kind)}, {steps} of Newton's method from the initial "
                     f"state ({name} = {x[most]:.6g}{unit} instead of {start[most]:.6g})"

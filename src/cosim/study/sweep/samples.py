@@ -200,8 +200,8 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
         if low < high:
             return low + (high - low) * quantiles
     raise ParameterError(
-        f"sweep: {name} = {represented(spread)} is no range; give (low, high) or a distribution "
-        "with a ppf"
+        f"sweep: {name} = {represented(spread)} is no range; give (low, high), or a distribution "
+        "such as scipy.stats.norm(0, 1)"
     )
 
 

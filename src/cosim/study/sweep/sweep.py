@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +20,7 @@ from cosim.errors import Interrupted, UnknownName, UsageError, naming_arguments_
 from cosim.files import write_atomically
 from cosim.host.optional_packages import optional_module
 from cosim.host.signals import ended_by_signals
-from cosim.integrate.ensemble.ensemble import RunState, range_row, varied_rows
+from cosim.integrate.ensemble.ensemble import RunState, first_of, range_row, varied_rows
 from cosim.integrate.ensemble.lanes import processors
 from cosim.model.values import whole
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
@@ -28,7 +28,7 @@ from cosim.study.sweep.reductions import Function, Statistics, keep_from
 from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
 from cosim.study.sweep.store import Layout, Store, stored_samples
 from cosim.study.sweep.subject import RunKeywords, open_subject, run_settings
-from cosim.text import MOST_LINES, csv_text, text_table
+from cosim.text import MOST_LINES, counted, csv_text, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
@@ -124,16 +124,26 @@ class SweepResult:
         """Which runs have been computed at all, (runs,)."""
         return np.asarray(self.codes != NOT_COMPUTED, dtype=bool)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the varied quantities and of the numbers."""
+        return (*self.samples.columns, *self.numbers)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
     def __getitem__(self, name: str) -> Vector:
         """Return a number of each run, or a varied quantity, (runs,).
 
         Raises:
             UnknownName: There is neither of that name.
         """
-        known = {**self.samples.columns, **self.numbers}
-        if name not in known:
-            raise UnknownName.among("sweep", "number", name, known)
-        return known[name]
+        if name not in self.names:
+            raise UnknownName.among("sweep", "number", name, self.names)
+        return self.numbers[name] if name in self.numbers else self.samples.columns[name]
 
     @cached_property
     def values(self) -> Vector:
@@ -168,8 +178,10 @@ class SweepResult:
         rows = varied_rows(self.samples.columns, layout.units)
         units = layout.number_units
         rows += [range_row(name, units.get(name, ""), v) for name, v in self.numbers.items()]
-        head = f"{self.model}: {len(self)} runs, {self.status}"
-        return f"{head}\n{text_table(rows, most=MOST_LINES - 1)}"
+        head = f"{self.model}: {counted(len(self), 'run')}, {self.status}"
+        return "\n".join(
+            [head, text_table(rows, most=MOST_LINES - 2), *first_of("reason", self.reasons)]
+        )
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the table of runs; the file is whole or not there."""
