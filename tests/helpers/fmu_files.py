@@ -14,7 +14,7 @@ from cosim.fmi.export.package import source_files, zipped
 from cosim.fmi.platforms import targets
 
 Edit = Callable[[ET.Element], object]
-BEFORE_A_STEP = "    drop_spent_motion(self);\n    const State before"
+BEFORE_A_STEP = "    drop_spent_motion(self);\n    leave_sides(self);\n    const State before"
 
 
 def misbehaving(target: Path, behavior: str) -> Path:
