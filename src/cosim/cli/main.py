@@ -208,9 +208,9 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     name = word.partition("=")[0]
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
-    keywords = {option.lstrip("-").replace("-", "_"): option for option in options}
     if option in verb.options("A,B") and not word.startswith("-"):
         return f"; write a list with commas: {before},{word}"
+    keywords = {option.lstrip("-").replace("-", "_"): option for option in options}
     meant = meant_elsewhere(name.removeprefix("--").replace("-", "_"), keywords)
     if meant and word.startswith("--"):
         return f"; write {keywords[meant[0]]}"

@@ -103,8 +103,8 @@ class Scale:
         Short peaks and loads outside the validity range may be of any size: no arrow is longer
         than `LONGEST_ARROW`.
         """
-        start = load.at[frame]
-        return start, start + _arrows(load, self.per_unit, LONGEST_ARROW * self.pose)[frame]
+        start, along = load.at[frame], self.per_unit[load.unit] * load.vector[frame]
+        return start, start + _bounded(along, LONGEST_ARROW * self.pose)
 
 
 def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
@@ -134,7 +134,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     per_unit = {u: longest / most if most else 0.0 for u, most in largest.items()}
     first, shift = runs[0], runs[0].followed(follow)
     for load in first.loads:
-        tips = load.at + _arrows(load, per_unit, longest) - shift
+        tips = load.at + _bounded(per_unit[load.unit] * load.vector, longest) - shift
         points.append(tips[first.valid])
     if not shift.any():  # a path stays in the picture only if the camera does not follow
         reach = _LONG_PATH * float(np.ptp(poses, axis=0).max())
@@ -151,12 +151,11 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
     )
 
 
-def _arrows(load: Load, per_unit: dict[str, float], longest: float) -> Vector:
-    """Return the arrows of a load, none longer than a length, m, (n, 3)."""
-    along = per_unit[load.unit] * load.vector
-    length: Vector = np.linalg.norm(along, axis=1)
-    arrows: Vector = along * (longest / np.maximum(length, longest))[:, None]
-    return arrows
+def _bounded(along: Vector, longest: float) -> Vector:
+    """Return arrows, (..., 3), none longer than a length, m."""
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    found: Vector = along * (longest / np.maximum(length, longest))
+    return found
 
 
 def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:

@@ -36,7 +36,7 @@ from cosim.text import Ending, EndKind
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
-_FEW_STEPS = 100  # take as long as a piece does without them; there are fewer rows of more steps
+_FEW_STEPS = 100  # take as long as all else of a piece; rows with more steps are fewer in it
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 
 

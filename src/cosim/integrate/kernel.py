@@ -371,6 +371,11 @@ class Kernel:
         return Outcome(Reason(call.reason), call.part, call.other, call.state, call.size)
 
 
+@cached_per_thread(16)
+def _without_rules(system: Hybrid) -> Hybrid:
+    return replace(system, events=())
+
+
 def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, float]]:
     """Return a state with consistent modes, and the relations that switch there.
 
@@ -385,7 +390,7 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, 
         SolverError: No modes are consistent.
         MissingTool, UsageError: See `kernel_library`.
     """
-    plain = replace(system, events=())
+    plain = _without_rules(system)
     nominal = np.array([variable.nominal for variable in system.dae.states])
     kernel = Kernel(plain, p, nominal, 1.0)
     reject(plain, at.t, kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes), "")

@@ -35,6 +35,7 @@ class Linearizer:
         description: Of fmpy.
         calls: Of the instance.
         outputs: Names of y; the outputs of the FMU when None.
+        dae: Its model; None of a file.
 
     Attributes:
         outputs: Names of y.
@@ -45,7 +46,12 @@ class Linearizer:
     """
 
     def __init__(
-        self, name: str, description: Any, calls: PreparedCalls, outputs: Sequence[str] | None
+        self,
+        name: str,
+        description: Any,
+        calls: PreparedCalls,
+        outputs: Sequence[str] | None,
+        dae: Dae | None,
     ) -> None:
         rates = [item.variable for item in description.derivatives]
         if not description.coSimulation.providesDirectionalDerivative or not rates:
@@ -73,6 +79,7 @@ class Linearizer:
             else:
                 self._computed.append(row)
         self._outputs = Jacobians(calls, [shown[row] for row in self._computed], knowns)
+        self._corners = None if dae is None else _with_corners(dae, self.outputs)
 
     def evaluate(self) -> int:
         """Compute the matrices at the present state; return the worst status."""
@@ -86,22 +93,23 @@ class Linearizer:
         lower[self._computed] = self._outputs.values.T
         return LinearSystem(upper[:, :n], upper[:, n:], lower[:, :n], lower[:, n:])
 
+    def reject_corner(self, time: float, get: Callable[[Sequence[str]], Vector]) -> None:
+        """Raise InitialConditionError if a derivative is another one on each side of the values.
 
-def reject_corners(
-    dae: Dae, outputs: Sequence[str], time: float, get: Callable[[Sequence[str]], Vector]
-) -> None:
-    """Raise InitialConditionError if a derivative is another one on each side of the values.
+        Args:
+            time: The present time, s.
+            get: Returns values by name.
+        """
+        if self._corners is None:
+            return
+        dae, names = self._corners
+        groups = dae.states, dae.parameters, dae.inputs
+        values = Values(*(get([v.name for v in own]) if own else np.empty(0) for own in groups))
+        local_system(dae, names, time, values.x, values, f"{time:.12g} s")
 
-    Args:
-        dae: The model.
-        outputs: Names of y.
-        time: The present time, s.
-        get: Returns values by name.
-    """
+
+def _with_corners(dae: Dae, outputs: Sequence[str]) -> tuple[Dae, tuple[str, ...]] | None:
+    """Return a model with the outputs that it computes; None if nothing switches in them."""
     names = tuple(name for name in outputs if name in observable(dae))
     system = hybrid(with_kinks_of(dae, names))
-    if system is None or not system.relations:
-        return
-    groups = dae.states, dae.parameters, dae.inputs
-    values = Values(*(get([v.name for v in group]) if group else np.empty(0) for group in groups))
-    local_system(dae, names, time, values.x, values, f"{time:.12g} s")
+    return None if system is None or not system.relations else (dae, names)

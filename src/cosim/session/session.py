@@ -20,7 +20,7 @@ from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
 from cosim.session.life import Life, Phase
-from cosim.session.linearizer import Linearizer, LinearSystem, reject_corners
+from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
 from cosim.session.saved import ClockFacts, damaged, notes_of, packed, take_notes, unpacked
@@ -340,13 +340,11 @@ class Session(Life):
         found = self._linearizers.get(key) if isinstance(key, tuple | None) else None
         if found is None:
             self._reject_samples()
-            found = Linearizer(
-                self.name, self._description, self._calls, self.outputs if key is None else key
-            )
+            names = self.outputs if key is None else key
+            found = Linearizer(self.name, self._description, self._calls, names, self._dae)
             self._linearizers[found.outputs if key is not None else None] = found
         self._check(found.evaluate(), "GetDirectionalDerivative")
-        if self._dae is not None:
-            reject_corners(self._dae, found.outputs, self.time, self.get)
+        found.reject_corner(self.time, self.get)
         return found.system()
 
     def _reject_samples(self) -> None:
