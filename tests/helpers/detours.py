@@ -75,3 +75,20 @@ def detour(session, push, expected, choose, *, step=None, moves=150, copies=True
             assert session.time == time
             if choose.random() < 0.7:
                 np.testing.assert_array_equal(session.get(), values)
+
+
+def sample_after_another_begin(session):
+    """Return the sample at 0.05 s of a driven ball that begins there, as it is restored.
+
+    Samples are at 0.05, 0.18, ...; one that began before has none left in its step to 0.06 s.
+    """
+    assert [len(session.advance(to=time)) for time in (0.03, 0.05)] == [0, 1]
+    saved = session.save()
+    session.reset(start_time=0.05)
+    begin = session.save()
+    session.restore(saved)
+    assert session.advance(to=0.06) == ()  # before: the sample of the other begin
+    session.reset()
+    session.restore(begin)
+    (sample,) = session.advance(to=0.06)  # before: none
+    return sample.name, sample.time

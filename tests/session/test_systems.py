@@ -6,7 +6,7 @@ from math import exp
 
 import numpy as np
 import pytest
-from helpers.detours import detour, straight
+from helpers.detours import detour, sample_after_another_begin, straight
 from helpers.exchange_only import WITHOUT_STATE, exchange_only
 from helpers.foreign_part import foreign_part
 from helpers.session_models import driven_ball
@@ -321,19 +321,8 @@ def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
 
 @EVERY_WAY
 def test_state_of_another_begin_brings_no_event_of_this_one(way, files):
-    """Samples are at 0.05, 0.18, ...; a session that begins at 0.05 has the first one there."""
     with cosim.open(balls(files, "ball"), **way) as session:
-        before = [session.advance(to=0.03), session.advance(to=0.05)]
-        assert list(map(len, before)) == [0, 1]
-        saved = session.save()
-        session.reset(start_time=0.05)
-        begin = session.save()
-        session.restore(saved)
-        assert session.advance(to=0.06) == ()  # before: the sample of the other begin
-        session.reset()
-        session.restore(begin)
-        (sample,) = session.advance(to=0.06)  # before: none
-        assert (sample.name, sample.time) == ("ball: control", 0.05)
+        assert sample_after_another_begin(session) == ("ball: control", 0.05)
 
 
 def test_part_that_ends_the_run_is_named_with_the_time(files):
