@@ -211,8 +211,7 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     if option in verb.options("A,B") and not word.startswith("-"):
         return f"; write a list with commas: {before},{word}"
     keywords = {option.lstrip("-").replace("-", "_"): option for option in options}
-    meant = meant_elsewhere(name.removeprefix("--").replace("-", "_"), keywords)
-    if meant and word.startswith("--"):
+    if word.startswith("--") and (meant := meant_elsewhere(name[2:].replace("-", "_"), keywords)):
         return f"; write {keywords[meant[0]]}"
     return did_you_mean(name, options)
 

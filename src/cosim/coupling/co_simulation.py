@@ -249,16 +249,9 @@ class CoSimulation:
 
     def _in_few_steps(self, task: _Task, span: float, steps: int) -> Ranges:
         """Return the ranges of the inputs in a few steps from the start with constant inputs."""
-        length = span / steps
-        settings = replace(
-            task.settings,
-            method=Method.JACOBI,
-            macro_step=length,
-            interval=length,
-            accuracy=None,
-            stop=task.settings.start + span,
-        )
-        held = replace(task, settings=settings)
+        length, stop = span / steps, task.settings.start + span
+        settings = replace(task.settings, macro_step=length, interval=length, accuracy=None)
+        held = replace(task, settings=replace(settings, method=Method.JACOBI, stop=stop))
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 
     def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:

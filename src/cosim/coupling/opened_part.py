@@ -95,7 +95,8 @@ class OpenedPart:
         self.solver: ExchangeSolver | None = None  # of a part for model exchange, while it runs
         self._callback = 0  # of it
         known, exchange = by_name(fmu.description), fmu.interface is Interface.MODEL_EXCHANGE
-        self.abilities = abilities = _abilities(fmu.description, exchange=exchange)
+        abilities = fmu.description.modelExchange if exchange else fmu.description.coSimulation
+        self.abilities = abilities
         self.moving_inputs, self.inputs = _in_order([known[n] for n in inputs], is_continuous)
         self.moving_outputs, self.outputs = _in_order([known[n] for n in outputs])
         all_move = self.inputs == self.moving_inputs and self.outputs == self.moving_outputs
@@ -213,10 +214,6 @@ class OpenedPart:
                 names = {variable.name for variable in unknown.dependencies}
                 row[:] = [_whole(variable).name in names for variable in self.inputs]
         return found
-
-
-def _abilities(description: Any, *, exchange: bool) -> Any:
-    return description.modelExchange if exchange else description.coSimulation
 
 
 def _exchanges(fmu: OpenedFmu) -> bool:

@@ -119,13 +119,12 @@ def _noise(
     instance: Any, rates: Sequence[Any], states: Sequence[Any], x: Vector, jacobian: Vector
 ) -> Vector:
     """Return what rounding leaves open in the derivatives of the rates by the states."""
-    nominal = _nominals(states)
 
     def at(place: Vector) -> Vector:
         instance.setContinuousStates((c_double * len(place))(*place), len(place))
         return _jacobian(instance, rates, states)
 
-    return rounding(at, x, nominal, jacobian[: len(rates), : len(states)])
+    return rounding(at, x, _nominals(states), jacobian[: len(rates), : len(states)])
 
 
 def _reject_course(
@@ -178,7 +177,7 @@ def _reject_corner(
     """
     states, inputs = groups
     knowns, n = (*states, *inputs), len(states)
-    reals = [v for v in inputs if v.type in ("Real", "Float64")]
+    reals = [i for i, v in enumerate(knowns) if i >= n and v.type in ("Real", "Float64")]
     sizes = _nominals(knowns)
     shift = BESIDE * np.fmax(sizes, np.abs(x))
     scale = sizes / np.concatenate((sizes[:n], _nominals(unknowns[n:])))[:, None]
@@ -186,9 +185,8 @@ def _reject_corner(
 
     def move(place: Vector) -> None:
         instance.setContinuousStates((c_double * n)(*place[:n]), n)
-        values = dict(zip((v.name for v in inputs), place[n:].tolist(), strict=True))
-        for v in reals:
-            instance.setFloat64([v.valueReference], [values[v.name]])
+        for i in reals:
+            instance.setFloat64([knowns[i].valueReference], [place[i]])
 
     def change(place: Vector) -> Vector:
         move(place)

@@ -129,9 +129,6 @@ class SweepResult:
         """Names of the varied quantities and of the numbers."""
         return (*self.samples.columns, *self.numbers)
 
-    def __contains__(self, name: object) -> bool:
-        return name in self.names
-
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
 
