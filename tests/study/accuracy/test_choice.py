@@ -398,3 +398,26 @@ def test_a_stiff_model_is_checked_by_a_second_implicit_solver(rate, accuracy):
     right = rate / (rate - 1) * (np.exp(-run.time) - np.exp(-rate * run.time))
     wrong = max(np.abs(run["x"] - right).max(), np.abs(run["y"] - np.exp(-run.time)).max())
     assert wrong <= run.stats["error_estimate"] <= accuracy
+
+
+@pytest.mark.slow
+def test_span_for_which_explicit_solvers_need_too_many_steps_is_left_to_implicit_ones():
+    """x' = -1000 (x - y), y' = -1e-5 y: explicit ones do for 2 s, and stopped the run of 2e5 s."""
+    model = Model("long_decay", stop_time=2.0)
+    x, y = model.state("x", "1", 1.0, "x"), model.state("y", "1", 1.0, "y")
+    model.derivative(x, -1000 * (x - y))
+    model.derivative(y, -1e-5 * y)
+    span = {"stop_time": 2e5, "output_interval": 2e3}
+    run = simulate(model.freeze(), accuracy=1e-6, outputs=["y"], **span)
+    assert np.abs(run["y"] - np.exp(-1e-5 * run.time)).max() <= run.stats["error_estimate"] <= 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", [{"accuracy": 1e-6}, {"budget": 60.0}])
+def test_run_that_no_solver_completes_says_what_to_do(goal):
+    """x' = x^2 is infinite at 1 s."""
+    model = Model("blows_up", stop_time=0.5)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, x * x)
+    with pytest.raises(SolverError, match=r"and .* fail: .* at t = 1, .*; request a shorter run"):
+        simulate(model.freeze(), stop_time=2.0, **goal)

@@ -90,12 +90,18 @@ class Candidates:
         return pareto_front(compared, lambda c: c.work, lambda c: c.error)
 
 
-def measured_candidates(dae: Dae, *, compiled: bool) -> Candidates:
-    """Return the candidates of a model with its own values and span, cached if possible."""
+def measured_candidates(dae: Dae, *, compiled: bool, stiff: bool = False) -> Candidates:
+    """Return the candidates of a model with its own values and span, cached if possible.
+
+    Args:
+        dae: The model.
+        compiled: Whether its equations are compiled.
+        stiff: Whether a second implicit solver is measured although explicit ones do for that span.
+    """
     every = tuple(column.name for column in all_columns(dae))
     request = RunRequest(dae, outputs=every, policy=Policy(compiled=compiled))
-    entry = f"candidates/{_key(request, compiled)}"
-    return _read(entry) or _measured(request, compiled, entry)
+    entry = f"candidates/{_key(request, compiled)}{'-stiff' if stiff else ''}"
+    return _read(entry) or _measured(request, compiled, entry, stiff=stiff)
 
 
 def solvers(dae: Dae, *, compiled: bool) -> tuple[str, ...]:
@@ -113,13 +119,13 @@ def _key(request: RunRequest, compiled: bool) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _measured(request: RunRequest, compiled: bool, entry: str) -> Candidates:
+def _measured(request: RunRequest, compiled: bool, entry: str, *, stiff: bool) -> Candidates:
     best = reference(request)
     names = solvers(request.dae, compiled=compiled)
     every = [_of_solver(request, name, best) for name in names]
     found = [one for own in every for one in own]
-    is_stiff = not all(every) or any(one.rhs_calls > MOST_CALLS for one in found)
-    if _IMPLICIT not in names and is_stiff:
+    stiff |= not all(every) or any(one.rhs_calls > MOST_CALLS for one in found)
+    if _IMPLICIT not in names and stiff:
         found += _of_solver(request, _IMPLICIT, best)  # explicit ones cannot check the other one
     began = perf_counter()
     for _ in range(ROUNDS - 1):

@@ -1,6 +1,6 @@
 """`accurate_run`: the solver for an accuracy or a time budget, with an independent check."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import sqrt
@@ -20,6 +20,7 @@ from cosim.integrate.solvers import contains_time, default_solver, is_driven, re
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Tolerance
 from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
+from cosim.text import EndKind
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Difference, compare
 from cosim.verify.reference import rounding_errors
@@ -91,11 +92,16 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Chooser:
-    """A request whose goal is resolved, and the candidates of its model."""
+    """A request whose goal is resolved, and the candidates of its model.
+
+    Attributes:
+        stiff: Whether the candidates have two implicit solvers for sure.
+    """
 
     request: RunRequest
     candidates: Candidates
     names: tuple[str, ...]
+    stiff: bool = False
 
     @property
     def dae(self) -> Dae:
@@ -133,9 +139,39 @@ class _Chooser:
             pair.second.run,
         )
 
+    def after(self, failure: SolverError) -> "_Chooser":
+        """Return what chooses next, with two implicit solvers after too many steps.
+
+        Explicit ones that do for the model's own span, for which candidates are measured, may need
+        too many for a longer one.
+        """
+        if self.stiff or failure.ending.kind is not EndKind.TOO_MANY_STEPS:
+            return self
+        compiled = self.request.policy.compiled or False
+        found = measured_candidates(self.dae, compiled=compiled, stiff=True)
+        return replace(self, candidates=found, stiff=True)
+
     def cheapest_first(self, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
         """Return the Pareto front of the candidates for the outputs of the request."""
         return self.candidates.cheapest_first(self.names, without=without)
+
+    def with_smaller_tolerance(
+        self, runs: Sequence[CandidateRun], share: float, without: Sequence[str]
+    ) -> Candidate | None:
+        """Return a candidate of a solver that has run, whose tolerance is a share of that or less.
+
+        Where rounding covers the predicted errors, only the tolerance tells which one is better.
+        """
+        least = dict[str, float]()
+        for done in runs:
+            least[done.candidate.solver] = done.candidate.tolerance
+        tighter = [
+            one
+            for one in self.candidates.every
+            if one.solver not in without and one.tolerance < least.get(one.solver, 0.0)
+        ]
+        small = [one for one in tighter if one.tolerance <= share * least[one.solver]]
+        return max(small or tighter[-1:], key=lambda one: one.tolerance, default=None)
 
 
 def accurate_run(request: RunRequest) -> Trajectory:
@@ -214,19 +250,21 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
     _reject_below_rounding(chooser, accuracy)
     runs: list[CandidateRun] = []
     failures: dict[str, SolverError] = {}
-    target = accuracy / SAFETY
+    target, share = accuracy / SAFETY, 0.1
     while True:
-        before = [done.candidate.solver for done in runs[-1:]]
-        every = chooser.cheapest_first((*before, *failures))
+        without = (*(done.candidate.solver for done in runs[-1:]), *failures)
+        every = chooser.cheapest_first(without)
         candidate = _good_enough([c for c in every if _tighter(c, runs)], target)
+        candidate = candidate or chooser.with_smaller_tolerance(runs, share, without)
         if candidate is None:
             break
         try:
             runs.append(chooser.run(candidate, checks=bool(runs)))
         except SolverError as error:
             failures[candidate.solver] = error
-            if len(failures) == 2:  # the run fails, whatever the solver
-                raise next(iter(failures.values())) from error
+            chooser = chooser.after(error)
+            if len(failures) == 2 + chooser.stiff:  # the run fails, whatever the solver
+                raise _failed(chooser, goal, failures) from error
             continue
         if len(runs) == 1:
             target = min(accuracy / CHECK, candidate.error)
@@ -234,7 +272,8 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
         pair = Pair(*runs[-2:])
         if pair.error <= accuracy:
             return _with_check(pair.better.run, goal, chooser.check(pair))
-        target = min(target, candidate.error) * min(0.1, accuracy / pair.error)
+        share = min(0.1, accuracy / pair.error)
+        target = min(target, candidate.error) * share
     if len(runs) < 2:
         what = runs[0].candidate if runs else "accuracy"
         raise SolverError(
@@ -243,6 +282,19 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
             runs[0].run if runs else None,
         )
     raise _unconfirmed(chooser, goal, accuracy, runs)
+
+
+def _failed(chooser: _Chooser, goal: Goal, failures: Mapping[str, SolverError]) -> SolverError:
+    """Return the error of a run that fails, whatever the solver; the first failure tells why."""
+    first = next(iter(failures.values()))
+    wanted = "" if goal.accuracy is None else f"accuracy {goal.accuracy:g} is not reached: "
+    remedy = "request a shorter run"
+    if first.ending.kind is EndKind.TOO_MANY_STEPS:
+        remedy += ", or a shorter output_interval"
+    why = first.ending if first.ending.remedy else f"{first.ending}; {remedy}"
+    return SolverError(
+        f"{chooser.dae.full_name}: {wanted}{' and '.join(failures)} fail: {why}", first.partial
+    )
 
 
 def _tighter(candidate: Candidate, runs: Sequence[CandidateRun]) -> bool:
@@ -297,17 +349,17 @@ def _affordable_run(chooser: _Chooser, goal: Goal, budget: float) -> Trajectory:
             f"{every[0]}, takes {1e3 * share * every[0].solve_time:.2g} ms; increase the budget or "
             "shorten the run"
         )
-    done, took, failures = None, 0.0, list[SolverError]()
+    done, took, failures = None, 0.0, dict[str, SolverError]()
     for candidate in reversed(affordable):  # the most accurate one first
         try:
             done, took = _timed(chooser, candidate, budget)
         except SolverError as error:
-            failures.append(error)
+            failures.setdefault(candidate.solver, error)
             continue
         if took <= budget:
             return _with_check(done.run, goal, _check(chooser, done))
     if done is None:
-        raise failures[0]
+        raise _failed(chooser, goal, failures)
     raise SolverError(
         f"{dae.full_name}: {done.candidate}, the cheapest configuration, took {1e3 * took:.2g} ms "
         f"on this run, more than budget = {1e3 * budget:g} ms; increase the budget or "
@@ -337,8 +389,9 @@ def _check(chooser: _Chooser, done: CandidateRun) -> ErrorCheck:
             raise SolverError(f"{done.run.model}: {what}", done.run)
         try:
             second = chooser.run(check, checks=True)
-        except SolverError:
+        except SolverError as error:
             failed.append(check.solver)
+            chooser = chooser.after(error)
             continue
         return chooser.check(Pair(done, second))
 
