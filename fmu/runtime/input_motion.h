@@ -2,6 +2,8 @@
 #ifndef INPUT_MOTION_H
 #define INPUT_MOTION_H
 
+#include <float.h>
+#include <math.h>
 #include <string.h>
 
 #include "state.h"
@@ -35,12 +37,22 @@ static void input_slopes_at(const void *instance, double time, double du[]) {
 static void move_inputs(Instance *self, double time) {
     double *values = self->state.values;
     const double since = time - values[TIME];
+    if (since != 0) memset(self->state.departure, 0, sizeof self->state.departure);
     for (int i = 0; i < NU - MODES; i++) {
         values[FIRST_INPUT + i] = derivative_at(self, i, 0, since);
         for (int order = 1; order < MOST_INPUT_ORDER; order++)
             self->state.motion[order - 1][i] = derivative_at(self, i, order, since);
     }
     values[TIME] = time;
+}
+
+/* Whether an input that has these values within a step begins it at rest, and then leaves its value
+   to one side. What it has moved by up to the first of them tells no slope, but by rounding. */
+static bool departs(double first_way, double at_begin, double a, double b, double at_end) {
+    const double tiny = 64 * DBL_EPSILON * fmax(fabs(at_begin), fabs(at_end));
+    const double way = at_end - at_begin;
+    return fabs(first_way) <= tiny && fabs(way) > tiny && (a - at_begin) * way > 0 &&
+           (b - at_begin) * way > 0;
 }
 
 /* Ask the importer for the inputs at equidistant times up to an end; they then move on the
@@ -55,8 +67,10 @@ static bool ask_for_motion(Instance *self, double end) {
     memcpy(now, u[0], NU * sizeof *now);
     for (int i = 0; i < NU; i++) { /* by forward differences, which are 0 where inputs rest */
         const double a = u[1][i] - u[0][i], b = u[2][i] - u[1][i], c = u[3][i] - u[2][i];
-        const double second = b - a, third = c - b - second;
-        self->state.motion[0][i] = (a - second / 2 + third / 3) / h;
+        const double second = b - a, third = c - b - second, first = a - second / 2 + third / 3;
+        const bool departing = departs(first, u[0][i], u[1][i], u[2][i], u[3][i]);
+        self->state.departure[i] = departing ? 2 * (a + b + c) / (9 * h * h) : 0;
+        self->state.motion[0][i] = departing ? 0 : first / h;
         self->state.motion[1][i] = (second - third) / (h * h);
         self->state.motion[2][i] = third / (h * h * h);
     }

@@ -118,7 +118,8 @@ typedef struct {
     double values[N_VARIABLES]; /* by value reference */
     /* derivatives of the inputs by time, from the first on, within the communication step */
     double motion[MOST_INPUT_ORDER][ROOM(NU)];
-    double guesses[ROOM(NX)]; /* where the solution of calculated start values begins */
+    double departure[ROOM(NU)]; /* second derivatives of inputs that leave a rest within the step */
+    double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
     SolverMemory memory;
 #if HAS_RANK
     Watch watch;

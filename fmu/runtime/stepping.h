@@ -18,6 +18,7 @@ static const double CLOCK_TOLERANCE = 1e-9; /* relative difference of clocks tha
 /* The derivatives of the inputs are unknown until the importer sets them again. */
 static void forget_motion(Instance *self) {
     memset(self->state.motion, 0, sizeof self->state.motion);
+    memset(self->state.departure, 0, sizeof self->state.departure);
 }
 
 static void drop_spent_motion(Instance *self) {

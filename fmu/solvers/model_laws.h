@@ -36,6 +36,7 @@ typedef struct {
     double *w;
     void (*move)(const void *owner, double t, double slopes[]); /* gives slopes; or NULL */
     const void *owner;                                          /* of `move` */
+    const double *departure; /* second derivatives of inputs that rest, and move on; or NULL */
 } LawOwner;
 
 static inline bool call_law(const LawOwner *self, Equations *function, const Point *at,
@@ -85,12 +86,30 @@ static inline bool solve_law(const LawOwner *self, const Point *at) {
     return true;
 }
 
+/* Add what inputs that leave a rest mean for second derivatives, which are decisive where a rate is
+ * 0. First derivatives are affine in the slopes of inputs, and so tell it. */
+static inline bool add_departure(const LawOwner *self, const Point *at, Seen *seen) {
+    const double none[NU + 1] = {0};
+    Seen with, without;
+    bool any = false;
+    for (int i = 0; i < NU && self->departure; i++) any |= self->departure[i] != 0;
+    if (!any) return true;
+    if (!call_law(self, model_laws.relations, at, self->departure, with.arguments, with.rates,
+                  with.seconds, with.sizes) ||
+        !call_law(self, model_laws.relations, at, none, without.arguments, without.rates,
+                  without.seconds, without.sizes))
+        return false;
+    for (int i = 0; i < MODES; i++) seen->seconds[i] += with.rates[i] - without.rates[i];
+    return true;
+}
+
 static inline bool law_see(void *owner, const Point *at, Seen *seen) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
            call_law(owner, model_laws.relations, &now, slopes, seen->arguments, seen->rates,
-                    seen->seconds, seen->sizes);
+                    seen->seconds, seen->sizes) &&
+           add_departure(owner, &now, seen);
 }
 
 static inline bool law_decide(void *owner, const Point *at, Decision *found) {

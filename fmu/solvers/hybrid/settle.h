@@ -55,10 +55,16 @@ static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *se
     return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
 }
 
+/* Whether inputs alone are about to move an argument, although they rest at this instant. */
+static inline bool is_bent(const Laws *laws, const Seen *seen, int i) {
+    return laws->relations[i].moved == BY_INPUTS &&
+           fabs(seen->seconds[i]) > ROUNDING * seen->sizes[i];
+}
+
 /* Whether the argument of a relation has stayed 0 since its last event. */
 static inline bool is_held(const Laws *laws, const Switching *s, const Seen *seen, int i) {
     return s->state[i] == HELD && fabs(seen->rates[i]) <= s->stays[i] &&
-           !is_moved(laws, s, seen, i);
+           !is_moved(laws, s, seen, i) && !is_bent(laws, seen, i);
 }
 
 /* How far every relation is within its mode, and the rate of that. Rounding is inside. */
