@@ -133,9 +133,15 @@ static Instance *create(const Host *host, const char *function, const char *name
     self->state.interface = interface;
 #if HAS_EVENTS
     for (int i = 0; i < NX; i++) self->sizes[i] = variables[FIRST_STATE + i].nominal;
-    self->laws = (LawOwner){self->constants, self->sizes,     NULL, self->arg, self->res, self->iw,
-                            self->w,         input_slopes_at, self};
-    self->laws.departure = self->state.departure;
+    self->laws = (LawOwner){.c = self->constants,
+                            .sizes = self->sizes,
+                            .arg = self->arg,
+                            .res = self->res,
+                            .iw = self->iw,
+                            .w = self->w,
+                            .move = input_slopes_at,
+                            .owner = self,
+                            .departure = self->state.departure};
 #endif
     self->constants[0] = NAN; /* those of no parameters */
     reset(self);

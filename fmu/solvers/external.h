@@ -93,7 +93,7 @@ static inline void link_to_model(Problem *problem, Watch *watch, const double *s
     watch->problem = problem;
     watch->watch = solver.watch;
     watch->owner =
-        (LawOwner){problem->c, sizes, NULL, problem->arg, problem->res, iw, w, NULL, NULL};
+        (LawOwner){problem->c, sizes, NULL, problem->arg, problem->res, iw, w, NULL, NULL, NULL};
     watch->laws = laws_of_model(&watch->owner);
     watch->relation = -1;
 }

@@ -48,7 +48,7 @@ typedef struct {
 
 static inline void open_kernel(Kernel *self, const Call *call) {
     self->owner = (LawOwner){call->c,  call->sizes, call->slopes, self->arg, self->res,
-                             self->iw, self->w,     NULL,         NULL};
+                             self->iw, self->w,     NULL,         NULL,      NULL};
     self->laws = laws_of_model(&self->owner);
     self->at = (Point){call->t, call->x, call->z, call->u};
     self->switching = (Switching *)(void *)call->switching;
