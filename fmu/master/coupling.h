@@ -162,7 +162,8 @@ static inline int back_to_event(Coupling *self) {
 static inline void extend_ranges(const Coupling *self) {
     const System *system = self->system;
     const long long m = system->inputs;
-    const int late = self->now.t > 0.5 * (system->start + system->stop);
+    const double middle = 0.5 * (system->start + system->stop);
+    const int late = self->now.t > middle && !same_time(system, self->now.t, middle);
     for (long long i = late ? m : 0; i < 2 * m; ++i) {
         system->lowest[i] = fmin(system->lowest[i], self->now.u[i % m]);
         system->highest[i] = fmax(system->highest[i], self->now.u[i % m]);

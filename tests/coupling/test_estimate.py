@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.coupling.estimate import estimated_error
+from cosim.coupling.estimate import estimated_error, noise_by_restarts
+from cosim.coupling.stability import Ranges
 from cosim.errors import SolverError
 
 
@@ -26,6 +27,27 @@ def test_order_counts_where_it_is_observed(change, before, ordered, right):
 
 def test_agreement_of_runs_shows_nothing_below_the_tolerance_of_the_parts():
     assert estimated_error(0.0, 0.0, 1 / 16, 1e-3, 1e-7, ordered=True) == 1e-6
+
+
+@pytest.mark.parametrize("grid", [0.0, 1e-6, 1e-4, 1e-3, 1e-2])
+def test_noise_of_parts_that_start_again_is_that_of_their_rounding(grid):
+    """Two lags x' = u - x that round their results; 32 short runs before."""
+    runs = []
+
+    def in_steps(length, steps):
+        runs.append(steps)
+        shown = [np.array([1.0, 0.0])]
+        for _ in range(steps):
+            fed = shown[-1][::-1]
+            x = fed + (shown[-1] - fed) * np.exp(-length / steps)
+            shown.append(np.round(x / grid) * grid if grid else x)
+        halves = shown[: steps // 2 + 1], shown
+        low, high = ([end(half, axis=0) for half in halves] for end in (np.min, np.max))
+        return Ranges(np.array(low), np.array(high), np.ones(2), 0.0)
+
+    noise = noise_by_restarts(in_steps, 1.0, np.array([True, True]))
+    assert noise == 0 if grid == 0 else grid / 2 <= noise <= 5 * grid  # measured 1 to 3
+    assert len(runs) == 13
 
 
 def sampler(name, gain, start):

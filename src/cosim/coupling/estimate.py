@@ -14,8 +14,8 @@ _FALLS = 0.75  # power of the tolerance with which the error falls; less is on t
 _UNKNOWN = 0.5  # how much of the error is left if no order is known
 _ROUNDED = 1e-12  # of what is constant and passes through loops, of its size
 _FEW_STEPS = (1, 4)  # the second shows what the start does not
-_SHORT = 1e-4, 1e-3, 1e-2, 1e-1  # of the span
-_TRIED = 0.97, 0.83, 0.71, 0.58  # of such a length: no grid of a part fits all
+_LONGEST = 0.097  # step that shows noise, of the span; no grid of a part fits it and its halves
+_HALVINGS, _TOGETHER = 12, 3  # of its length; of those that are about the same
 OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
 
 
@@ -103,18 +103,29 @@ def noise_by_restarts(in_steps: Callable[[float, int], Ranges], span: float, may
         span: Length of the run, s.
         may: Whether each input is driven by a continuous output of a part that may round.
     """
-    noise = shorter = 0.0
-    for length in span * np.array(_SHORT) if may.any() else ():
-        found = 0.0
-        for part in _TRIED:
-            with suppress(SolverError, UsageError):
-                one, two = (in_steps(part * length, steps) for steps in (1, 2))
-                apart = np.abs(one.widths - two.widths)[1] / one.sizes
-                found = max(found, float(apart[may].max()))
-        if found > _ROUNDED and shorter > found / 5:
-            noise = max(noise, found)
-        shorter = found
-    return noise
+    if not may.any():
+        return 0.0
+    apart = _apart_from_halves(in_steps, _LONGEST * span, may)
+    longer = apart.reshape(-1, _TOGETHER).max(axis=1)
+    shorter = np.append(longer[1:], 0.0)
+    stays = (longer > _ROUNDED) & (shorter > longer / 5)
+    return float(np.where(stays, longer, 0.0).max())
+
+
+def _apart_from_halves(
+    in_steps: Callable[[float, int], Ranges], length: float, may: Truths
+) -> Vector:
+    """Return by how much a step differs from two halves, for a length, s, its half, and so on."""
+    apart, one_step = np.zeros(_HALVINGS), None
+    for n in range(_HALVINGS):
+        whole, one_step = one_step, None
+        with suppress(SolverError, UsageError):
+            if whole is None:
+                whole = in_steps(length / 2**n, 1).widths[1]
+            halves = in_steps(length / 2**n, 2)
+            apart[n] = (np.abs(whole - halves.widths[1]) / halves.sizes)[may].max()
+            one_step = halves.widths[0]  # of the next length
+    return apart
 
 
 def frozen_motion(
