@@ -123,16 +123,39 @@ static inline int has_switched(const Coupling *self, const Part *part) {
     return self->switched && part->event_mode && part->steady->width < part->inputs;
 }
 
+/* Let parts wait for an event of their own at the present point, where others wait: a step on finds
+ * it, and what happens in others first would undo its cause. */
+static inline int wait_together(Coupling *self) {
+    System *system = self->system;
+    self->next.t = fmin(self->now.t + FIRST * (system->stop - system->start), system->stop);
+    if (!self->ends_at_events || same_time(system, self->next.t, self->now.t)) return 0;
+    predict(self, 2, &self->next);
+    for (long long p = 0; p < system->n_parts; ++p) {
+        Part *part = system->parts + p;
+        const long long steps = part->steps;
+        if (!part->event_mode || part->waits || !part->rolls_back) continue;
+        if (part_save(&self->fmu, part)) return give_up(self, p);
+        const int how = step_part(self, part, 0);
+        part->steps = steps;
+        if (how == AT_EVENT && same_time(system, part->reached, self->now.t)) continue;
+        if (how == NOT_STEPPED && !is_discarded(&self->fmu)) return give_up(self, p);
+        if (how == PART_FAILED || part_restore(&self->fmu, part)) return give_up(self, p);
+    }
+    return 0;
+}
+
 /* What happens at the present point, if a part waits for it; at the last one, no step follows that
  * would find it. */
 static inline int pass_events(Coupling *self) {
     System *system = self->system;
     const int last = system->ends && same_time(system, self->now.t, system->stop);
-    int any = 0;
-    for (long long p = 0; p < system->n_parts; ++p)
-        any |= system->parts[p].waits || (last && system->parts[p].event_mode) ||
-               has_switched(self, system->parts + p);
-    if (!any) return DONE;
+    int any = 0, waits = 0;
+    for (long long p = 0; p < system->n_parts; ++p) {
+        waits |= system->parts[p].waits != 0;
+        any |= (last && system->parts[p].event_mode) || has_switched(self, system->parts + p);
+    }
+    if (!any && !waits) return DONE;
+    if (waits && wait_together(self)) return CALL_FAILED;
     if (enter_event_modes(self) != DONE) return CALL_FAILED;
     /* events see the values that relations of time in other parts have now */
     const int how = settle_values(self, self->now.u);

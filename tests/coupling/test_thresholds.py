@@ -1,4 +1,4 @@
-"""Parts whose inputs rest exactly on a threshold of theirs, and then leave it: closed forms."""
+"""Parts at thresholds: inputs that rest exactly on one, and two that reach theirs at once."""
 
 import numpy as np
 import pytest
@@ -37,3 +37,26 @@ def test_an_input_that_leaves_its_rest_on_a_threshold_has_left_it_at_once(lags, 
     assert [event.time for event in run.events] == [0.0] * on
     error = np.abs(run[f"room.x{lags - 1}"] - exact).max()
     assert error <= run.stats["error_estimate"] <= accuracy
+
+
+@pytest.mark.slow_rows("{'macro_step': 0.1}-3.0")
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.1}], ids=str)
+def test_what_two_relays_see_at_one_instant_happens_in_both(settings, size):
+    """x' = q, q = -1 above 0.3 and 1 below 0: the second relay saw x only touch 0.3, 4 off."""
+    parts, wires = {}, {}
+    for name, factor in (("first", 1.0), ("second", size)):
+        mass = cosim.Model(name, stop_time=1.0, output_interval=0.07)
+        q = mass.input("q", "1", 1.0, "speed")
+        mass.derivative(mass.state("x", "1", 0.0, "place"), q)
+        relay = cosim.Model(f"{name}_relay")
+        seen = relay.input("seen", "1", 0.0, "place of the first")
+        q = relay.discrete("q", "1", 1.0, "speed")
+        relay.when(factor * seen > factor * 0.3, {q: -1}, name="back")
+        relay.when(seen < 0, {q: 1}, name="forth")
+        parts |= {name: mass.freeze(), f"{name}_relay": relay.freeze()}
+        wires |= {f"{name}.q": f"{name}_relay.q", f"{name}_relay.seen": "first.x"}
+    run = cosim.couple(parts, wires).simulate(**settings)
+    for name in ("first.x", "second.x"):
+        exact = 0.3 - np.abs(run.time % 0.6 - 0.3)
+        np.testing.assert_allclose(run[name], exact, rtol=0, atol=1e-12)
