@@ -243,15 +243,20 @@ class Piece:
 def with_slopes(
     dae: Dae, series: InputSeries | None, row: Vector, times: Vector
 ) -> tuple[Vector, Vector]:
-    """Return a row of inputs at each time, some of which follow a series, and their slopes."""
-    u, du = np.tile(row, (len(times), 1)), np.zeros((len(times), len(row)))
-    if series is not None:
-        known = [variable.name for variable in dae.inputs]
-        places = [known.index(name) for name in series.names]
-        u[:, places] = series.at(times).T
-        du[:, places] = [series.slopes(float(t)) for t in times]
-        for name, place in input_rates(dae).items():
-            u[:, place] = du[:, known.index(name)]
+    """Return a row of inputs at each time, some of which follow a series, and their slopes.
+
+    Without a series, the results cannot be written to.
+    """
+    size = len(times), len(row)
+    if series is None:
+        return np.broadcast_to(row, size), np.broadcast_to(0.0, size)
+    u, du = np.tile(row, (len(times), 1)), np.zeros(size)
+    known = [variable.name for variable in dae.inputs]
+    places = [known.index(name) for name in series.names]
+    u[:, places] = series.at(times).T
+    du[:, places] = [series.slopes(float(t)) for t in times]
+    for name, place in input_rates(dae).items():
+        u[:, place] = du[:, known.index(name)]
     return u, du
 
 
