@@ -133,7 +133,7 @@ static inline int wait_together(Coupling *self) {
     for (long long p = 0; p < system->n_parts; ++p) {
         Part *part = system->parts + p;
         const long long steps = part->steps;
-        if (!part->event_mode || part->waits || !part->rolls_back) continue;
+        if (!part->event_mode || part->waits || !part->rolls_back || part->own_step > 0) continue;
         if (part_save(&self->fmu, part)) return give_up(self, p);
         const int how = step_part(self, part, 0);
         part->steps = steps;
