@@ -19,7 +19,7 @@ from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
-from cosim.session.life import Life, Phase
+from cosim.session.life import RUNNING, Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
@@ -175,7 +175,7 @@ class Session(Life):
             FmuError: The model failed, ended the run before, or is closed. After a failure,
                 only `restore` and `reset` are possible.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         clock = self._clock
         time = clock.now
@@ -225,7 +225,7 @@ class Session(Life):
                 a value does not fit; then nothing is set.
             FmuError: The model rejects a value, has ended or failed, or is closed.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         self._values.set(values, named)
 
@@ -242,7 +242,7 @@ class Session(Life):
             UnknownName, UsageError: A variable does not exist, or is not one number.
             FmuError: A value is not finite, or the session has failed or is closed.
         """
-        if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
+        if self._phase is not RUNNING and self._phase is not Phase.ENDED:
             self._require()
         found = self._values.get(names)
         if self._lost_state is None:
@@ -269,7 +269,7 @@ class Session(Life):
         Raises:
             FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         place = 0
         content = b""
@@ -290,32 +290,32 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        clock, place, notes, content = self.checked_state(saved)
-        if self._serializes:
-            if not self._states.restore(content):
-                self._instance.log_texts.clear()
-                raise damaged(self.name)
-        else:
+        clock, place, notes, size = self.checked_state(saved)
+        if not self._serializes:
             self._states.go_back(place)
-        self._clock = Clock(*clock)
-        take_notes([self._instance], notes)
+        elif not self._states.restore(saved, size):
+            self._instance.log_texts.clear()
+            raise damaged(self.name)
+        self._clock.facts = clock
+        if notes or self._events or self._instance.violations:
+            take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
-        """Return clock, number, notes and bytes of a saved state that is one of this session.
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
+        """Return clock, number, notes and size of a saved state that is one of this session.
 
         Raises:
             UsageError, FmuError: See `restore`.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._reject_closed()
-        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=self._file.is_own)
+        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
             what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if not self._serializes and place >= len(self._states.saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-        return clock, place, notes, content
+        return clock, place, notes, size
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
