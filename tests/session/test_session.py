@@ -444,3 +444,24 @@ def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
         assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
     with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
         cosim.open(toml, macro_step=0.01)
+
+
+def test_elements_of_arrays_are_inputs_outputs_and_states(tmp_path):
+    """x' = u + A x with A[1,2] = 2 and u = (0, 1) from (0, 1): x = (2 t + t^2, 1 + t)."""
+    path = typed_part(tmp_path)
+    start = {"A[1,2]": 2.0, "x[2]": 1.0}
+    with cosim.open(path, start_values=start) as session:
+        assert session.inputs[:2] == ("u[1]", "u[2]")
+        assert session.outputs[:2] == ("y[1]", "y[2]")
+        assert session.states == ("x[1]", "x[2]")
+        session.set({"u[2]": 5.0, "u[1]": 0.0})
+        session.set({"u[2]": 1.0})
+        session.advance(1.0)
+        found = session.get(["y[2]", "y[1]", "u[2]", "u[1]", "A[1,2]"])
+        np.testing.assert_allclose(found, [2, 3, 1, 0, 2], rtol=1e-7)
+        session.set({"u[1]": 7.0})
+        assert session.get(["u[1]", "u[2]"]).tolist() == [7, 1]
+        with pytest.raises(UsageError, match="n gives sizes of arrays"):
+            session.reset({"n": 3})
+        session.reset()
+        assert session.get(["x[1]", "x[2]"]).tolist() == [0, 1]

@@ -38,6 +38,7 @@ class Group:
         getter: Name of the C function behind `get`.
         buffer: The values, which both functions use: arrays of FMI 3 as a whole.
         places: Of the variables, in the buffer.
+        is_plain: Whether the buffer has their values and no others, in their order.
         columns: Places of the variables in the list that the user gave.
     """
 
@@ -47,6 +48,7 @@ class Group:
         values = (c_type(kind, second) * layout.values)()
         self.buffer = np.frombuffer(values, dtype=np.dtype(values._type_))
         self.places = layout.places
+        self.is_plain = layout.places == list(range(layout.values))
         arguments = [calls.instance, references, _SIZE(len(references)), values]
         arguments += [] if second else [_SIZE(layout.values)]
         self.getter = f"fmi{2 if second else 3}Get{kind}"

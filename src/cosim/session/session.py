@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
+from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.description import by_name
 from cosim.fmi.run.instance import initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, lost_state, output_names
@@ -66,7 +67,10 @@ class Session(Life):
         if dae is not None and {*found} == {*dae.observed}:
             found = [*dae.observed]  # as in runs and copies; a file lists the states first
         self.outputs = tuple(found)
-        self.states = tuple(item.variable.derivative.name for item in description.derivatives)
+        rates = [item.variable for item in description.derivatives]
+        every = description.modelVariables
+        single: list[Any] = [v for rate in rates for v in elements_of(rate, every) or [rate]]
+        self.states = tuple(v.derivative.name for v in single)
         facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
         self._serializes = bool(description.coSimulation.canSerializeFMUstate)
         self._owner = uuid.uuid4().bytes
@@ -370,6 +374,12 @@ class Session(Life):
             values = plain_values(self._dae, request.values)
         elif values:
             known = self._variables
+            for name in known.keys() & values.keys():
+                if known[name].causality == "structuralParameter":
+                    raise UsageError(
+                        f"{self.name}: {name} gives sizes of arrays, which a session takes from "
+                        "the file; leave it out"
+                    )
             values = {
                 name: plain_value(self.name, self._description, known[name], value)
                 if name in known
