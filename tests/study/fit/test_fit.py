@@ -76,6 +76,7 @@ OXYGEN_DEMAND = (  # BoxBOD: biochemical oxygen demand, mg/l over days
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("published", [ADSORPTION, OXYGEN_DEMAND], ids=["Misra1a", "BoxBOD"])
 def test_published_records_have_their_certified_values(published):
     *texts, values, errors, residual, begin = published
