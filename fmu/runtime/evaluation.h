@@ -127,6 +127,17 @@ static Hint limit_hint(Instance *self) {
     return nearest_limit(self, margins);
 }
 
+/* Between communication steps, solutions begin at the end of the last step, whatever has been read
+   since: reading results changes none that follow. */
+static void keep_algebraics(Instance *self) {
+    memcpy(self->state.reached, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof(double));
+}
+
+static void reset_algebraics(Instance *self) {
+    if (self->state.mode == STEP_MODE && self->state.stale & ALGEBRAICS)
+        memcpy(self->state.values + FIRST_ALGEBRAIC, self->state.reached, NZ * sizeof(double));
+}
+
 /* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
 static Status solve_algebraics(Instance *self) {
     const Status status = follow_present(self);

@@ -106,7 +106,7 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
     if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
-    if (!all_finite(state->left, N_LIMITS)) return false;
+    if (!all_finite(state->left, N_LIMITS) || !all_finite(state->reached, NZ)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
 #if HAS_RANK
     if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;

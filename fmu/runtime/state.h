@@ -119,6 +119,7 @@ typedef struct {
     /* derivatives of the inputs by time, from the first on, within the communication step */
     double motion[MOST_INPUT_ORDER][ROOM(NU)];
     double guesses[ROOM(NX)]; /* where the solution of calculated start values begins */
+    double reached[ROOM(NZ)]; /* algebraic unknowns at the end of the last communication step */
     SolverMemory memory;
 #if HAS_RANK
     Watch watch;

@@ -41,6 +41,7 @@ static Status do_step(Instance *self, double from, double length) {
 
     drop_spent_motion(self);
     leave_sides(self);
+    reset_algebraics(self);
     const State before = self->state;
     self->state.stale &= ~(uint32_t)SIDES;
     self->state.steps++;
@@ -51,6 +52,7 @@ static Status do_step(Instance *self, double from, double length) {
     if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;
+    keep_algebraics(self);
     if (done) {
         note_limits(self);
         return OK;

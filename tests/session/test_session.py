@@ -76,6 +76,21 @@ def test_detours_of_a_foreign_fmu_change_no_bit(tmp_path):
 # -- exact values -------------------------------------------------------------------------------
 
 
+def test_reading_beside_the_run_does_not_lead_to_another_solution():
+    """x' = z, where z^3 - 3 z + u = 0 has the solution sqrt(3) at u = 0, and -sqrt(3)."""
+    model = Model("fold", stop_time=5.0)
+    x, z = model.state("x", "1", 0.0, "x"), model.algebraic("z", "1", np.sqrt(3), "z")
+    model.derivative(x, z)
+    model.equation(z**3 - 3 * z + model.input("u", "1", 0.0, "u"))
+    with cosim.open(model.freeze()) as fold:
+        fold.advance(0.1)
+        fold.set(u=2.5)
+        assert fold["z"] < -2  # the only solution there
+        fold.set(u=0.0)
+        fold.advance(0.1)
+        assert fold["x"] == pytest.approx(0.2 * np.sqrt(3), rel=1e-12)  # before: 0
+
+
 def test_decay_meets_its_closed_form(session):
     session.set(force=1.0)
     session.advance(to=1.0)
