@@ -172,7 +172,9 @@ static Status compute_outputs(Instance *self) {
     const Status status =
         compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
     if (status != OK) return status;
-    note_margins(self, margins);
+    /* inputs that are read between steps need not be those of a motion */
+    const bool beside = self->state.mode == STEP_MODE && self->state.steps > 0 && !self->stepping;
+    if (!beside) note_margins(self, margins);
     if (N_WATCHED == 0) return OK;
     return get_insides(self, self->state.values + FIRST_OUTPUT + NY - N_WATCHED);
 }

@@ -177,6 +177,7 @@ struct Instance {
     Host host;
     const char *name;
     const char *function; /* the FMI function that runs, for messages */
+    bool stepping;        /* within a communication step */
     uint32_t categories;  /* log categories that are on, a bit each */
     double *jacobian;     /* of dx, then of z, with respect to x and u; columns */
     const double **arg;   /* work space of the equations */

@@ -91,6 +91,27 @@ def test_reading_beside_the_run_does_not_lead_to_another_solution():
         assert fold["x"] == pytest.approx(0.2 * np.sqrt(3), rel=1e-12)  # before: 0
 
 
+def test_values_read_beside_the_run_violate_nothing():
+    model = Model("narrow", stop_time=5.0)
+    x, u = model.state("x", "1", 1.0, "x"), model.input("u", "1", 0.0, "u")
+    model.derivative(x, -x)
+    model.output("sum", "1", x + u, "sum")
+    model.limit(x + u < 1.5, "the sum is below 1.5")
+    with cosim.open(model.freeze()) as session, cosim.open(model.freeze()) as straight:
+        for one in (session, straight):
+            one.advance(0.1)
+        session.set(u=3.0)
+        assert session["sum"] > 3
+        session.set(u=0.0)
+        for one in (session, straight):
+            one.advance(0.1)
+        assert session.invalid is None  # before: from 0.1 s, with an input that no step had
+        assert session.save() == straight.save()
+        session.set(u=3.0)
+        session.advance(0.1)
+        assert session.invalid.startswith("invalid from 0.2 s")
+
+
 def test_decay_meets_its_closed_form(session):
     session.set(force=1.0)
     session.advance(to=1.0)
