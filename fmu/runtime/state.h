@@ -120,6 +120,7 @@ typedef struct {
     double motion[MOST_INPUT_ORDER][ROOM(NU)];
     double departure[ROOM(NU)]; /* second derivatives of inputs that leave a rest within the step */
     double guesses[ROOM(NX)];   /* where the solution of calculated start values begins */
+    double reached[ROOM(NZ)];   /* algebraic unknowns at the end of the last communication step */
     SolverMemory memory;
 #if HAS_RANK
     Watch watch;
@@ -177,6 +178,7 @@ struct Instance {
     Host host;
     const char *name;
     const char *function; /* the FMI function that runs, for messages */
+    bool stepping;        /* within a communication step */
     uint32_t categories;  /* log categories that are on, a bit each */
     double *jacobian;     /* of dx, then of z, with respect to x and u; columns */
     const double **arg;   /* work space of the equations */
