@@ -231,6 +231,14 @@ def test_ssp_file_keeps_values_of_every_type(part, tmp_path):
     assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [1, -2147483648, 3]
 
 
+def test_ssp_file_keeps_integers_that_no_float_has(part_3, tmp_path):
+    path = changed(part_3, tmp_path / "wide.fmu", "<Int32 ", "<Int64 ")
+    values = {"a.count_in": 2**53 + 1}
+    system = cosim.couple({"a": path}, {}, start_values=values)
+    found = cosim.read_ssp(system.write_ssp(tmp_path / "wide.ssp"))
+    assert found.start_values == {("a", "count_in"): 2**53 + 1}
+
+
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [

@@ -50,7 +50,7 @@ class Value:
                 raise ParameterError(f"{name} = {number!r} is no number and cannot be transformed")
             return number
         if None in (self.unit.name, unit.name) or self.keeps_unit:
-            return self.factor * number + self.offset
+            return transformed(number, self.factor, self.offset)
         if self.unit.definition is None or unit.definition is None:
             number = quantity(name, f"{number!r} {self.unit.name}", str(unit.name))
         else:
@@ -60,8 +60,13 @@ class Value:
                 reason = f"'{self.unit.name}' of the file cannot be converted to '{unit.name}' of"
                 reason += " the FMU, by their definitions"
                 raise ParameterError(f"{name} = {number!r}: {reason}") from error
-            number = scale * number + shift
-        return self.factor * number + self.offset
+            number = transformed(number, scale, shift)
+        return transformed(number, self.factor, self.offset)
+
+
+def transformed(number: float, factor: float, offset: float) -> float:
+    """Return factor * number + offset; an integer that stays the same is not rounded."""
+    return number if (factor, offset) == (1.0, 0.0) else factor * number + offset
 
 
 def real(document: Document, where: str, text: str | None, default: float = 0.0) -> float:
