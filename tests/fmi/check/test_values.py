@@ -168,6 +168,18 @@ def test_declared_updates_that_no_step_makes_are_advice(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "erk", "rosenbrock"])
+def test_own_files_declare_updates_if_their_solver_makes_them(solver, tmp_path):
+    model = cosim.Model("decay", stop_time=1.0)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -x)
+    model.output("y", "1", x, "y")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "own.fmu", fmi=3, solver=solver)
+    assert [*examine(path)] == []
+    assert found(path, calls) == set()
+
+
+@pytest.mark.slow
 def test_directional_derivative_to_a_parameter_that_is_wrong_is_found(tmp_path):
     options, function = {"fmi": 3, "tunable": ["k"]}, "fmi3GetDirectionalDerivative"
     assert found(wrapped(tmp_path, options, oscillator()), derivatives) == set()
