@@ -81,7 +81,10 @@ def test_value_that_is_not_what_was_set_is_found(fault, names, tmp_path):
 
 
 def test_state_and_parameter_that_cannot_be_set_are_found(tmp_path):
-    ignored = f"{ALL} if (vr[i] == REF(x)) return fmi2OK; return CALL;"
+    ignored = (
+        f"int s = 0; {ALL} if (vr[i] != REF(x)) s |= inner_fmi2SetReal(c, vr + i, 1, value + i); "
+        "return (fmi2Status)s;"
+    )
     path = wrapped(tmp_path, {}, oscillator(), fmi2SetReal=ignored)
     assert found(path, settings) == {(WRONG, "settings", "x")}
 
