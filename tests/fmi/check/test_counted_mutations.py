@@ -1,4 +1,4 @@
-"""Fifty-six faults, each in a sound file of its own: all are found."""
+"""Fifty-seven faults, each in a sound file of its own: all are found."""
 
 import pytest
 from helpers.fmu_files import set_attributes, with_description
@@ -188,6 +188,10 @@ IN_C = {  # wrapped functions, each with its body
         f"fmi2Status s = CALL; {ALL} if (vr[i] == REF(time)) value[i] += limit; return s;",
         "fmi2SetFMUstate",
         "limit = 0.5; return CALL;",
+    ),
+    "a second reset that is an error": (
+        "fmi2Reset",
+        "return limit++ > 0 ? fmi2Error : CALL;",
     ),
     "a value that may not be set": (
         "fmi2SetReal",
