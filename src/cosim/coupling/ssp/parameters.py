@@ -198,8 +198,6 @@ def _mapped(
         where = f"the mapping of {source} to {target}"
         if not target:
             raise document.fault(f"a mapping of {source} has no target; name one")
-        if entry.find("EnumerationMappingTransformation") is not None:
-            raise document.fault(f"{where} maps enumerations, which cannot be read here")
         value = values[source]
         if value.unit.name is not None and truth(
             document, f"suppressUnitConversion of {where}", entry.get("suppressUnitConversion")
@@ -213,7 +211,10 @@ def _mapped(
 def _looked_up(
     document: Document, where: str, entry: ET.Element, number: float | str
 ) -> float | str:
-    """Return what a table of a mapping gives for a number; the number where it has no row."""
+    """Return what a table of a mapping gives for a value; the value where it has no row."""
+    for row in entry.iterfind("EnumerationMappingTransformation/MapEntry"):
+        if row.get("source") == number:
+            return row.get("target", "")
     for kind in _TABLES:
         for row in entry.iterfind(f"{kind}/MapEntry"):
             pair = [_TRUTH.get(row.get(end, ""), row.get(end, "")) for end in ("source", "target")]
