@@ -80,6 +80,7 @@ _FEWEST = 3  # points needed for a statement on missing influence
 _LINEAR = ("constant", "fixed", "tunable")  # kinds with a factor that no state or input changes
 _BENT = 1e-4  # change of a factor, of its size, that is no rounding
 _DIRECTIONAL = 1e-3  # error of directional derivatives that counts, of their size
+_CANCELLED = 1e-9  # rounding of what cancels, of the largest of all
 _ROUNDING = {True: 1e-9, False: 1e-6}  # of directional derivatives, and of differences
 
 
@@ -288,7 +289,8 @@ def _by_several(
     seed = np.random.default_rng(0).standard_normal(len(knowns))
     references = [int(v.reference) for v in unknowns], [int(k.variable.reference) for k in knowns]
     found = np.array(session.instance.getDirectionalDerivative(*references, seed))
-    noise = _DIRECTIONAL * (np.abs(seed) @ np.abs(forward))
+    sizes = np.abs(seed) @ np.abs(forward)
+    noise = _DIRECTIONAL * sizes + _CANCELLED * sizes.max()
     for k in np.flatnonzero(np.abs(found - seed @ forward) > noise)[:MOST_NAMES]:
         text = "its directional derivative by several variables is not the sum of those by one"
         yield TRIAL_RULES["derivatives"].at(unknowns[k].name, text)
