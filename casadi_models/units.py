@@ -134,56 +134,97 @@ MORE = {
     "mol": _unit(mol=1),
     "cd": _unit(cd=1),
     "%": _unit(0.01),
+    "ppm": _unit(1e-6),
     "degC": _unit(offset=273.15, K=1),
     "\u00b0C": _unit(offset=273.15, K=1),
     "degF": _unit(5 / 9, offset=459.67 * 5 / 9, K=1),
     "\u00b0F": _unit(5 / 9, offset=459.67 * 5 / 9, K=1),
+    "degR": _unit(5 / 9, K=1),
     "Hz": _unit(s=-1),
     "Pa": _unit(kg=1, m=-1, s=-2),
     "bar": _unit(1e5, kg=1, m=-1, s=-2),
     "psi": _unit(6894.757293168361, kg=1, m=-1, s=-2),
+    "ksi": _unit(6894757.293168361, kg=1, m=-1, s=-2),
+    "atm": _unit(101325.0, kg=1, m=-1, s=-2),
+    "Torr": _unit(101325 / 760, kg=1, m=-1, s=-2),
+    "torr": _unit(101325 / 760, kg=1, m=-1, s=-2),
+    "mmHg": _unit(133.322387415, kg=1, m=-1, s=-2),
+    "inHg": _unit(25.4 * 133.322387415, kg=1, m=-1, s=-2),
     "V": _unit(kg=1, m=2, s=-3, A=-1),
     "C": _unit(s=1, A=1),
     "Ohm": _unit(kg=1, m=2, s=-3, A=-2),
     "\u03a9": _unit(kg=1, m=2, s=-3, A=-2),
+    "ohm": _unit(kg=1, m=2, s=-3, A=-2),
     "F": _unit(kg=-1, m=-2, s=4, A=2),
     "H": _unit(kg=1, m=2, s=-2, A=-2),
+    "S": _unit(kg=-1, m=-2, s=3, A=2),
+    "T": _unit(kg=1, s=-2, A=-1),
+    "Wb": _unit(kg=1, m=2, s=-2, A=-1),
+    "Ah": _unit(3600.0, s=1, A=1),
+    "lm": _unit(cd=1),
+    "lx": _unit(m=-2, cd=1),
     "min": _unit(60.0, s=1),
     "h": _unit(3600.0, s=1),
     "sec": _unit(s=1),
     "hr": _unit(3600.0, s=1),
+    "day": _unit(86400.0, s=1),
     "turn": _unit(2 * pi, rad=1),
     "degree": _unit(DEGREE, rad=1),
     "degrees": _unit(DEGREE, rad=1),
     "\u00b0": _unit(DEGREE, rad=1),
+    "gon": _unit(pi / 200, rad=1),
+    "arcmin": _unit(DEGREE / 60, rad=1),
+    "arcsec": _unit(DEGREE / 3600, rad=1),
     "RPM": _unit(RPM, rad=1, s=-1),
+    "r/min": _unit(RPM, rad=1, s=-1),
     "inch": _unit(INCH, m=1),
     "feet": _unit(FOOT, m=1),
     "yd": _unit(3 * FOOT, m=1),
     "mi": _unit(1609.344, m=1),
+    "nmi": _unit(1852.0, m=1),
     "mph": _unit(0.44704, m=1, s=-1),
     "kph": _unit(1 / 3.6, m=1, s=-1),
     "kmh": _unit(1 / 3.6, m=1, s=-1),
+    "kn": _unit(1852 / 3600, m=1, s=-1),
+    "knot": _unit(1852 / 3600, m=1, s=-1),
+    "knots": _unit(1852 / 3600, m=1, s=-1),
+    "ha": _unit(1e4, m=2),
     "l": _unit(1e-3, m=3),
+    "L": _unit(1e-3, m=3),
+    "cc": _unit(1e-6, m=3),
+    "gal": _unit(231 * INCH**3, m=3),  # of the United States
     "lb": _unit(POUND, kg=1, m=1, s=-2),  # as in the book; a mass where only a mass fits
     "lbs": _unit(POUND, kg=1, m=1, s=-2),
     "lbm": _unit(0.45359237, kg=1),
+    "tonne": _unit(1e3, kg=1),
+    "kgf": _unit(9.80665, kg=1, m=1, s=-2),
+    "dyn": _unit(1e-5, kg=1, m=1, s=-2),
     "Nm": _unit(kg=1, m=2, s=-2),
     "kNm": _unit(1e3, kg=1, m=2, s=-2),
     "Nms": _unit(kg=1, m=2, s=-1),
+    "Wh": _unit(3600.0, kg=1, m=2, s=-2),
+    "eV": _unit(1.602176634e-19, kg=1, m=2, s=-2),
+    "cal": _unit(4.184, kg=1, m=2, s=-2),
+    "BTU": _unit(1055.05585262, kg=1, m=2, s=-2),
+    "hp": _unit(550 * FOOT_POUND, kg=1, m=2, s=-3),
+    "PS": _unit(75 * 9.80665, kg=1, m=2, s=-3),
+    "P": _unit(0.1, kg=1, m=-1, s=-1),
+    "St": _unit(1e-4, m=2, s=-1),
 }
 PREFIXES = {
     **{"p": 1e-12, "n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "c": 1e-2},
-    **{"d": 1e-1, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9},
+    **{"d": 1e-1, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12},
 }
 PREFIXED = (
     *("m", "g", "s", "rad", "A", "K", "mol", "N", "J", "W", "Pa", "bar", "l"),
-    *("Hz", "V", "C", "Ohm", "\u03a9", "F", "H"),
+    *("Hz", "V", "C", "Ohm", "ohm", "\u03a9", "F", "H", "S", "T", "Wb", "L"),
+    *("Wh", "Ah", "eV", "cal", "lm", "P", "St"),
 )
 _LETTERS = r"[A-Za-z\u00b0\u03a9\u00b5\u03bc%]+"
 _FACTOR = re.compile(rf"({_LETTERS})(?:(?:\^|\*\*)?([-+]?\d{{1,2}})(?!\d))?|1(?![\d^*])")
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
 _BRACKETS = re.compile(r"\(([^()/]*)\)(?=\s*(?:/|$))")
+_BY_A_QUOTIENT = re.compile(r"(.*)/\s*\(([^()/]*)/([^()/]*)\)\s*")
 
 
 def single_unit(name: str) -> Unit | None:
@@ -250,7 +291,8 @@ def _plain(text: str) -> str:
 
 def _powers(text: str, known: Callable[[str], Unit | None]) -> _Powers | None:
     """Return names, units and powers of factors; all after a `/` divide, as in FMI."""
-    text = _BRACKETS.sub(r"\1", _plain(text))
+    text = _BY_A_QUOTIENT.sub(r"\3.\1/\2", _plain(text))
+    text = _BRACKETS.sub(r"\1", text)
     found, sign = _Powers(), 1
     position, expected = 0, True
     while position < len(text):
@@ -263,7 +305,10 @@ def _powers(text: str, known: Callable[[str], Unit | None]) -> _Powers | None:
         name = (match[1] or "1") if match and expected else ""
         if match is None or (unit := known(name)) is None:
             return None
-        found.append((name, unit, sign * int(match[2] or 1)))
+        power = int(match[2] or 1)
+        if power == 0:  # as in g0, no unit
+            return None
+        found.append((name, unit, sign * power))
         position, expected = match.end(), False
     return None if expected else found
 

@@ -5,8 +5,9 @@ import zipfile
 import numpy as np
 import pytest
 from helpers.mutated_ssp import packed
-from helpers.ssp_files import component, connection, description
+from helpers.ssp_files import component, connection, description, mapping
 from helpers.ssp_files import system as ssp_system
+from helpers.ssp_files import values as bound_values
 from helpers.typed_part import typed_part
 
 import cosim
@@ -231,6 +232,14 @@ def test_ssp_file_keeps_values_of_every_type(part, tmp_path):
     assert [final[f"b.{name}"] for name in ("on", "count", "mode")] == [1, -2147483648, 3]
 
 
+def test_ssp_file_keeps_integers_that_no_float_has(part_3, tmp_path):
+    path = changed(part_3, tmp_path / "wide.fmu", "<Int32 ", "<Int64 ")
+    values = {"a.count_in": 2**53 + 1}
+    system = cosim.couple({"a": path}, {}, start_values=values)
+    found = cosim.read_ssp(system.write_ssp(tmp_path / "wide.ssp"))
+    assert found.start_values == {("a", "count_in"): 2**53 + 1}
+
+
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
@@ -248,6 +257,29 @@ def test_ssp_file_with_another_type_is_rejected(old, new, reason, part, tmp_path
     other = changed(path, tmp_path / "changed.ssp", old, new)
     with pytest.raises(cosim.CosimError, match=rf"changed.ssp: SystemStructure.ssd: .*{reason}"):
         cosim.read_ssp(other)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "value", "name"),
+    [
+        ("Boolean", "false", 1, "on"),
+        ("Integer", "7", -2147483648, "count"),
+        ("Enumeration", "quick", 3, "mode"),
+    ],
+)
+def test_table_of_a_parameter_mapping_changes_the_value(kind, given, value, name, part, tmp_path):
+    target = {1: "true", 3: "fast"}.get(value, value)
+    row = f'<ssc:MapEntry source="{given}" target="{target}"/>'
+    table = f"<ssc:{kind}MappingTransformation>{row}</ssc:{kind}MappingTransformation>"
+    mapped = f"<ssd:ParameterMapping>{mapping(('t', f'a.{name}_in', table))}</ssd:ParameterMapping>"
+    bound = bound_values(mapping=mapped, t=0).replace('Real value="0"', f'{kind} value="{given}"')
+    kinds = {f"{name}_in": "input"}
+    whole = component("a", "", kinds=kinds, source="resources/typed.fmu")
+    text = description(ssp_system("S", whole, bindings=bound))
+    entries = {"SystemStructure.ssd": text, "resources/typed.fmu": part.read_bytes()}
+    (tmp_path / "mapped.ssp").write_bytes(packed(entries))
+    found = cosim.read_ssp(tmp_path / "mapped.ssp")
+    assert found.start_values == {("a", f"{name}_in"): value}
 
 
 HALF = '<ssc:LinearTransformation factor="0.5"/>'

@@ -1,4 +1,4 @@
-"""Fifty-two faults, each in a sound file of its own: all are found."""
+"""Fifty-seven faults, each in a sound file of its own: all are found."""
 
 import pytest
 from helpers.fmu_files import set_attributes, with_description
@@ -17,7 +17,7 @@ KEPT = (
     "fmi2ValueReference r = REF(force); double v; fmi2GetReal(c, &r, 1, &v); "
     "fmi2Status s = CALL; fmi2SetReal(c, &r, 1, &v); return s;"
 )
-IN_C = {  # the wrapped function, and its body
+IN_C = {  # wrapped functions, each with its body
     "derivatives that are those of the call before": (
         "fmi2GetDerivatives",
         "static double old; fmi2Status s = CALL; double now = x[0]; x[0] = old; old = now; "
@@ -169,6 +169,30 @@ IN_C = {  # the wrapped function, and its body
         "fmi2DoStep",
         "static int k; return ++k > 500 ? fmi2Error : CALL;",
     ),
+    "input derivatives that are doubled": (
+        "fmi2SetRealInputDerivatives",
+        f"fmi2Real own[9]; {ALL} own[i] = 2 * value[i]; "
+        "return inner_fmi2SetRealInputDerivatives(c, vr, n, order, own);",
+    ),
+    "several values of which the first is set": (
+        "fmi2SetReal",
+        "return inner_fmi2SetReal(c, vr, n ? 1 : 0, value);",
+    ),
+    "a directional derivative by the first of several": (
+        "fmi2GetDirectionalDerivative",
+        "double own[9]; for (size_t i = 0; i < n; i++) own[i] = i ? 0 : seed[i]; "
+        "return inner_fmi2GetDirectionalDerivative(c, unknowns, m, knowns, n, own, value);",
+    ),
+    "a stored state without its time": (
+        "fmi2GetReal",
+        f"fmi2Status s = CALL; {ALL} if (vr[i] == REF(time)) value[i] += limit; return s;",
+        "fmi2SetFMUstate",
+        "limit = 0.5; return CALL;",
+    ),
+    "a second reset that is an error": (
+        "fmi2Reset",
+        "return limit++ > 0 ? fmi2Error : CALL;",
+    ),
     "a value that may not be set": (
         "fmi2SetReal",
         f"{ALL} if (vr[i] == REF(rate)) return fmi2Error; return CALL;",
@@ -215,8 +239,8 @@ def sound(tmp_path_factory):
 @pytest.mark.parametrize("name", sampled(MUTATIONS, (), MUTATIONS[::2]))
 def test_mutation_is_found(name, sound, tmp_path):
     if name in IN_C:
-        function, body = IN_C[name]
-        path = wrapped(tmp_path, **{function: body})
+        pairs = iter(IN_C[name])
+        path = wrapped(tmp_path, **dict(zip(pairs, pairs, strict=True)))
     else:
         path = with_description(wrapped(tmp_path), tmp_path / "a.fmu", IN_XML[name])
     assert found(path) - sound

@@ -39,7 +39,14 @@ MUTATIONS = {  # wrapped functions, what is found
     ),
     "input derivatives without effect": (
         HELD,
-        {(WRONG, "motion")},
+        {(WRONG, "motion"), (WRONG, "ramps")},
+    ),
+    "input derivatives that are halved": (
+        {
+            "fmi2SetRealInputDerivatives": "fmi2Real own[9]; for (size_t i = 0; i < n; i++) "
+            "own[i] = value[i] / 2; return inner_fmi2SetRealInputDerivatives(c, vr, n, order, own);"
+        },
+        {(WRONG, "motion"), (WRONG, "ramps")},
     ),
     "a parameter that instances share": (
         {

@@ -17,7 +17,7 @@ from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives
 from cosim.fmi.check.trials.start import initialization, start, time
-from cosim.fmi.check.trials.steps import steps
+from cosim.fmi.check.trials.steps import calls, steps
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import defaults
 
@@ -46,7 +46,8 @@ def relay():
 @pytest.mark.parametrize("build", [ball, sampled, relay])
 def test_own_files_with_events_have_no_finding(build, fmi, tmp_path):
     path = cosim.export_fmu(build(), tmp_path / "own.fmu", fmi=fmi)
-    answer = try_apart(path, timeout=24, trials=(start, defaults, initialization, switching))
+    trials = (start, defaults, initialization, switching, calls)
+    answer = try_apart(path, timeout=24, trials=trials)
     assert [*examine(path), *answer.findings] == []
     assert any(text.startswith("switching (CoSimulation)") for text in answer.passed)
 

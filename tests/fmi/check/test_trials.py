@@ -73,9 +73,12 @@ def found(path, **options) -> set[tuple[str, str]]:
     return {(one.level, one.rule) for one in try_apart(path, **options).findings}
 
 
-def unneeded(fmi, *, limited=False) -> set[str]:
+def unneeded(fmi, dae) -> set[str]:
     """Return the trials that skip a model without bounds and events; limits may be indicators."""
-    return {"bounds"} | ({"motion"} if limited else set()) | ({"logger"} if fmi == 3 else set())
+    skipped = {"motion"} if dae.limits else set()
+    if fmi == 3 or not dae.inputs:
+        skipped.add("ramps")
+    return skipped | ({"bounds", "logger"} if fmi == 3 else {"bounds"})
 
 
 @pytest.mark.slow
@@ -87,7 +90,7 @@ def test_a_file_of_ours_passes_every_trial(name, fmi, exported, capsys):
     assert json.loads(told.out) == []
     (line,) = [line for line in told.err.splitlines() if line.startswith("passed: ")]
     passed = {one.split()[0] for one in line.removeprefix("passed: ").split("; ")}
-    assert passed == {trial.__name__ for trial in TRIALS} - unneeded(fmi)
+    assert passed == {trial.__name__ for trial in TRIALS} - unneeded(fmi, cosim.load(name))
 
 
 @pytest.mark.slow
@@ -102,9 +105,7 @@ def test_all_files_of_ours_have_nothing_wrong_and_pass_all_trials_but_the_compil
     found = {(one.level, one.rule) for one in results.findings}
     assert found == ({(ADVICE, "dependencies")} if name in CANCELLING else set())
     passed = {one.split()[0] for one in results.passed} | {rule for _, rule in found}
-    limited = bool(cosim.load(name).limits)
-    unneeded_here = unneeded(fmi, limited=limited)
-    assert passed == {trial.__name__ for trial in QUICK} - unneeded_here
+    assert passed == {trial.__name__ for trial in QUICK} - unneeded(fmi, cosim.load(name))
 
 
 @pytest.mark.slow

@@ -81,7 +81,10 @@ def test_value_that_is_not_what_was_set_is_found(fault, names, tmp_path):
 
 
 def test_state_and_parameter_that_cannot_be_set_are_found(tmp_path):
-    ignored = f"{ALL} if (vr[i] == REF(x)) return fmi2OK; return CALL;"
+    ignored = (
+        f"int s = 0; {ALL} if (vr[i] != REF(x)) s |= inner_fmi2SetReal(c, vr + i, 1, value + i); "
+        "return (fmi2Status)s;"
+    )
     path = wrapped(tmp_path, {}, oscillator(), fmi2SetReal=ignored)
     assert found(path, settings) == {(WRONG, "settings", "x")}
 
@@ -165,6 +168,18 @@ def test_declared_updates_that_no_step_makes_are_advice(tmp_path):
     path = with_description(own, tmp_path / "b.fmu", set_attributes("CoSimulation", **silent))
     without = found(own, calls)
     assert found(path, calls) - without == {(ADVICE, "calls", "fmi3IntermediateUpdateCallback")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "erk", "rosenbrock"])
+def test_own_files_declare_updates_if_their_solver_makes_them(solver, tmp_path):
+    model = cosim.Model("decay", stop_time=1.0)
+    x = model.state("x", "1", 1.0, "x")
+    model.derivative(x, -x)
+    model.output("y", "1", x, "y")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "own.fmu", fmi=3, solver=solver)
+    assert [*examine(path)] == []
+    assert found(path, calls) == set()
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ class Value:
                 raise ParameterError(f"{name} = {number!r} is no number and cannot be transformed")
             return number
         if None in (self.unit.name, unit.name) or self.keeps_unit:
-            return self.factor * number + self.offset
+            return transformed(number, self.factor, self.offset)
         if self.unit.definition is None or unit.definition is None:
             number = quantity(name, f"{number!r} {self.unit.name}", str(unit.name))
         else:
@@ -60,8 +60,13 @@ class Value:
                 reason = f"'{self.unit.name}' of the file cannot be converted to '{unit.name}' of"
                 reason += " the FMU, by their definitions"
                 raise ParameterError(f"{name} = {number!r}: {reason}") from error
-            number = scale * number + shift
-        return self.factor * number + self.offset
+            number = transformed(number, scale, shift)
+        return transformed(number, self.factor, self.offset)
+
+
+def transformed(number: float, factor: float, offset: float) -> float:
+    """Return factor * number + offset; an integer that stays the same is not rounded."""
+    return number if (factor, offset) == (1.0, 0.0) else factor * number + offset
 
 
 def real(document: Document, where: str, text: str | None, default: float = 0.0) -> float:
@@ -193,8 +198,6 @@ def _mapped(
         where = f"the mapping of {source} to {target}"
         if not target:
             raise document.fault(f"a mapping of {source} has no target; name one")
-        if entry.find("EnumerationMappingTransformation") is not None:
-            raise document.fault(f"{where} maps enumerations, which cannot be read here")
         value = values[source]
         if value.unit.name is not None and truth(
             document, f"suppressUnitConversion of {where}", entry.get("suppressUnitConversion")
@@ -208,7 +211,10 @@ def _mapped(
 def _looked_up(
     document: Document, where: str, entry: ET.Element, number: float | str
 ) -> float | str:
-    """Return what a table of a mapping gives for a number; the number where it has no row."""
+    """Return what a table of a mapping gives for a value; the value where it has no row."""
+    for row in entry.iterfind("EnumerationMappingTransformation/MapEntry"):
+        if row.get("source") == number:
+            return row.get("target", "")
     for kind in _TABLES:
         for row in entry.iterfind(f"{kind}/MapEntry"):
             pair = [_TRUTH.get(row.get(end, ""), row.get(end, "")) for end in ("source", "target")]

@@ -16,7 +16,7 @@ from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, Variable, part_of, reject_types
 from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
-from cosim.coupling.ssp.parameters import Value, bound_values, real
+from cosim.coupling.ssp.parameters import Value, bound_values, real, transformed
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
 from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName
@@ -178,7 +178,7 @@ class _System:
         with document.naming():
             number = value.in_unit(str(node), unit)
         factor, offset = self._connections.change(steps, value.unit if unit.name is None else unit)
-        return number if isinstance(number, str) else factor * number + offset
+        return number if isinstance(number, str) else transformed(number, factor, offset)
 
     def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:
         """Return a connector of the whole system: what drives it, or what it drives."""

@@ -17,6 +17,7 @@ from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
 from cosim.fmi.check.trials.motion import motion
+from cosim.fmi.check.trials.ramps import ramps
 from cosim.fmi.check.trials.start import (
     callbacks,
     fixed,
@@ -41,7 +42,7 @@ from cosim.text import sentence
 TRIALS: tuple[Trial, ...] = (
     *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
     *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, switching, bounds, stop, steps, calls, sources),
+    *(motion, ramps, switching, bounds, stop, steps, calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger", "memory"})  # the latter makes thousands of instances

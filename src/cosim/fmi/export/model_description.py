@@ -216,6 +216,9 @@ _OF_DERIVATIVES = {
 }
 
 
+_OF_UPDATES = {"canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate"}
+
+
 def _interfaces(plan: Plan, sources: Sequence[str]) -> list[ET.Element]:
     """Return the elements of model exchange and co-simulation."""
     dialect = plan.dialect
@@ -233,8 +236,13 @@ def _interfaces(plan: Plan, sources: Sequence[str]) -> list[ET.Element]:
         elements[1].set("fixedInternalStepSize", shortest(plan.step_size))
     if plan.modes and not second:
         elements[1].set("hasEventMode", "true")
-    for element in () if plan.options.derivatives else elements:
-        for name in _OF_DERIVATIVES.intersection(element.attrib):
+    lacking = set[str]()
+    if not plan.options.derivatives:
+        lacking |= _OF_DERIVATIVES
+    if not plan.updates_within_steps:
+        lacking |= _OF_UPDATES
+    for element in elements:
+        for name in lacking.intersection(element.attrib):
             del element.attrib[name]
     for element in elements if second else ():
         files = ET.SubElement(element, "SourceFiles")

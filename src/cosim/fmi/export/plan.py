@@ -96,6 +96,12 @@ class Plan:
         """Whether bounds of the margins of some limits are known."""
         return bool(bounded_limits(self.dae, self.system).relations)
 
+    @property
+    def updates_within_steps(self) -> bool:
+        """Whether a communication step has points at which it calls the importer back."""
+        by_solver = self.dop853 or self.step_size is not None
+        return by_solver or bool(self.system or self.dae.limits or self.dae.inputs)
+
     @cached_property
     def runtime(self) -> dict[str, bytes]:
         """Its files of fmu/runtime, by name: all but those of parts that it does not need."""

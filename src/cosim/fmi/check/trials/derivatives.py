@@ -79,6 +79,8 @@ _MORE_POINTS = 3  # for directional derivatives, beside the start
 _FEWEST = 3  # points needed for a statement on missing influence
 _LINEAR = ("constant", "fixed", "tunable")  # kinds with a factor that no state or input changes
 _BENT = 1e-4  # change of a factor, of its size, that is no rounding
+_DIRECTIONAL = 1e-3  # error of directional derivatives that counts, of their size
+_CANCELLED = 1e-9  # rounding of what cancels, of the largest of all
 _ROUNDING = {True: 1e-9, False: 1e-6}  # of directional derivatives, and of differences
 
 
@@ -266,7 +268,7 @@ def _compared(
         noise = 1e4 * np.finfo(float).eps * np.maximum(sizes, sizes.max()) / (1e-6 * scale)
         doubt = 20 * np.abs(coarse - fine) + bend + noise
         size = np.maximum(np.abs(reported), np.abs(coarse))
-        bad = np.abs(reported - coarse) > 1e-3 * size + doubt
+        bad = np.abs(reported - coarse) > _DIRECTIONAL * size + doubt
         bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
         for k in np.flatnonzero(bad)[:MOST_NAMES]:
             yield TRIAL_RULES["derivatives"].at(
@@ -274,8 +276,24 @@ def _compared(
                 f"its derivative to '{known.variable.name}' is reported as {reported[k]:.6g}, "
                 f"differences give {coarse[k]:.6g}",
             )
+    if len(knowns) > 1:
+        yield from _by_several(session, unknowns, knowns, np.array(forward))
     if not bench.second and bench.offers(session.kind, "providesAdjointDerivatives"):
         yield from _adjoint(session, unknowns, knowns, np.array(forward))
+
+
+def _by_several(
+    session: Session, unknowns: Sequence[Described], knowns: Sequence[Known], forward: Vector
+) -> Iterator[Finding]:
+    """Compare directional derivatives by all knowns with those by one, (knowns, unknowns)."""
+    seed = np.random.default_rng(0).standard_normal(len(knowns))
+    references = [int(v.reference) for v in unknowns], [int(k.variable.reference) for k in knowns]
+    found = np.array(session.instance.getDirectionalDerivative(*references, seed))
+    sizes = np.abs(seed) @ np.abs(forward)
+    noise = _DIRECTIONAL * sizes + _CANCELLED * sizes.max()
+    for k in np.flatnonzero(np.abs(found - seed @ forward) > noise)[:MOST_NAMES]:
+        text = "its directional derivative by several variables is not the sum of those by one"
+        yield TRIAL_RULES["derivatives"].at(unknowns[k].name, text)
 
 
 def _adjoint(

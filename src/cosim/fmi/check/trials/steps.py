@@ -35,7 +35,7 @@ _FOR_STEPS, _FOR_INSTANCES = 1 / 12, 1 / 24  # share of all time
 _FEW_STEPS = 10
 _MOST_INSTANCES = 10_000
 _MOST_LOOKS, _AT_ONCE = 400, 100  # at the memory; calls between two of them
-_MOST_WITHOUT_UPDATE = 1000  # steps: those of a solver inside may be longer
+_MOST_WITHOUT_UPDATE = 1000  # steps of one size
 _NOISE = 1e-12  # of numbers that two functions give
 _ROUNDING = 1e-6  # of a nominal value, as people write it
 _REMEMBERED = 1e-6  # of a value: what iterations inside may leave of earlier calls
@@ -312,13 +312,19 @@ def _updates(bench: Bench, kind: str) -> Iterator[Finding]:
         "intermediateUpdate": lambda _environment, time, *_: times.append(time),
         "requiredIntermediateVariables": names,
     }
+    size, longer = bench.output_interval(kind), 1
+    if bench.offers(kind, "canHandleVariableCommunicationStepSize"):
+        longer = 2  # than those of the solver inside
     with bench.session(kind, **callback) as session:
         session.start()
-        begin, end = session.time, session.time
-        for time in session.steps(bench.output_interval(kind), _MOST_WITHOUT_UPDATE):
-            end = time
-            if times:
+        begin = session.time
+        for _ in range(_MOST_WITHOUT_UPDATE):
+            if times or session.time + size > bench.start + bench.span:
                 break
+            if not list(session.steps(size, 1)):
+                break
+            size *= longer
+        end = session.time
     noise = 1e-9 * max(abs(end), end - begin)
     wrong = [time for time in times if not begin - noise <= time <= end + noise]
     if wrong:

@@ -136,31 +136,8 @@ def settings(bench: Bench, kind: str) -> Iterator[Finding]:
 def _set_by(bench: Bench, kind: str, share: float) -> Iterator[Finding]:
     """Set variables before the start; only real numbers by a small share."""
     known = [one for one in _settings_of(bench) if one.facts.causality != "structuralParameter"]
-    accepted = list[tuple[list[_Setting], list[_Value]]]()
-
-    def whole(one: _Setting) -> int:
-        return id(one.variable.array if isinstance(one.variable, Element) else one.variable)
-
     with bench.session(kind) as session:
-
-        def put(group: Sequence[_Setting], values: Sequence[_Value]) -> None:
-            variables = [one.variable for one in group]
-            access_to(variables, session.instance, bench.fmpy).set(values)
-
-        for _, members in groupby(known, whole):
-            group = list(members)
-            put(group, [one.start for one in group])  # which none may reject
-            if share != _FAR and not group[0].is_real:
-                continue
-            values = [one.other(share) for one in group]
-            try:
-                put(group, values)
-                accepted.append((group, values))
-            except Exception:  # after which no call but a reset is allowed
-                session.instance.reset()
-                for others in accepted:
-                    put(*others)
-        given = {one.variable.name: v for pair in accepted for one, v in zip(*pair, strict=True)}
+        given = _changed(session, known, share)
         try:
             found = list(_read_at_start(session, known))
         except Exception as error:
@@ -171,6 +148,44 @@ def _set_by(bench: Bench, kind: str, share: float) -> Iterator[Finding]:
         if not any(one.agrees(value, wanted, _NOISE) for value in values):
             text = f"it was set to {_shown(wanted)} before the start and is {_shown(values[-1])}"
             yield TRIAL_RULES["settings"].at(name, text)
+
+
+def _changed(session: Session, known: Sequence[_Setting], share: float) -> dict[str, _Value]:
+    """Set other values, one variable at a time, then all in one call; return what is accepted."""
+    accepted = list[tuple[list[_Setting], list[_Value]]]()
+
+    def whole(one: _Setting) -> int:
+        return id(one.variable.array if isinstance(one.variable, Element) else one.variable)
+
+    def put(group: Sequence[_Setting], values: Sequence[_Value]) -> None:
+        variables = [one.variable for one in group]
+        access_to(variables, session.instance, session.bench.fmpy).set(values)
+
+    def put_again() -> None:  # after a rejection no call but a reset is allowed
+        session.instance.reset()
+        for pair in accepted:
+            put(*pair)
+
+    for _, members in groupby(known, whole):
+        group = list(members)
+        put(group, [one.start for one in group])  # which none may reject
+        if share != _FAR and not group[0].is_real:
+            continue
+        values = [one.other(share) for one in group]
+        try:
+            put(group, values)
+            accepted.append((group, values))
+        except Exception:
+            put_again()
+    every = [one for group, _ in accepted for one in group]
+    new = [value for _, values in accepted for value in values]
+    try:
+        for group, _ in accepted:
+            put(group, [one.start for one in group])
+        put(every, new)
+    except Exception:
+        put_again()
+    return {one.variable.name: value for one, value in zip(every, new, strict=True)}
 
 
 def _set_in_a_run(bench: Bench, kind: str) -> Iterator[Finding]:
