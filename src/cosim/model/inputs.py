@@ -94,10 +94,10 @@ class InputSeries:
 
     @cached_property
     def rests(self) -> Vector:
-        """Sample times at which an input that has moved comes to rest, s."""
-        equal = np.diff(self.values, axis=0) == 0
+        """Sample times at which an input that has moved comes to rest, s: the last one, too."""
+        equal = np.diff(self.values, axis=0, append=self.values[-1:]) == 0
         begins = equal[1:] & ~equal[:-1]
-        found: Vector = np.unique(self.time[1:-1][begins.any(axis=1)])
+        found: Vector = np.unique(self.time[1:][begins.any(axis=1)])
         return found
 
     @cached_property
