@@ -35,7 +35,8 @@ from cosim.model.values import Values, own_sizes
 from cosim.text import Ending, EndKind
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
-_LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_LEAST_WINDOW, _LEAST_WATCHED = 31, 1000  # after an event; if the solver ends at the next one
+_SOON = 1.25  # times the rows between events: within which the next one is looked for
 _FEW_STEPS = 100  # take as long as all else of a piece; rows with more steps are fewer in it
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 
@@ -140,6 +141,7 @@ class _Course:
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
         self.next = 0  # row of the grid to be written
+        self.event_row = 0  # the row after it
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
@@ -252,8 +254,8 @@ class _Course:
         if found is not None:
             event = found.at
             self._accept(piece, event.t)
-            due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
-            self.window = max(self.least_window, min(self.window, due_rows))
+            passed, self.event_row = self.next - self.event_row, self.next
+            self.window = max(self.least_window, int(_SOON * passed))
             self._switch(event, found.first)
             return Ending()
         if piece.reason:
