@@ -16,6 +16,7 @@ from cosim.arrays import Vector
 from cosim.codegen.terms import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.host.progress import doing
+from cosim.host.signals import interrupt_noticed
 from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
@@ -224,6 +225,9 @@ class _Course:
         while self.next < len(self.grid) and not self.stop and not reason:
             try:
                 reason = self._advance()
+            except KeyboardInterrupt:  # what was computed is shown
+                interrupt_noticed()
+                reason = INTERRUPTED
             except InitialConditionError:
                 reason = Ending(f"no solution after the jump of an input at {self.at.t:g} s")
             except SolverError as error:
@@ -365,8 +369,7 @@ class _Course:
         """Record the events that the solver went through, and the rows before the last of them."""
         passed = piece.passed
         if passed:
-            self.events += records_of(self.system, passed, len(self.instants))
-            self.instants += [(instant.before, instant.after) for instant in passed]
+            self._record(passed)
             self.at = passed[-1].after
         self._accept(piece, self.at.t, len(passed))
 
@@ -391,12 +394,17 @@ class _Course:
             self.at = self.kernel.after(at)
         switched = happened.zero | at.switched(self.at)
         instant = Passed(at, self.at, happened.events, happened.zero)
-        self.events += records_of(self.system, [instant], len(self.instants))
-        self.instants.append((at, self.at))
+        self._record([instant])
         self._end(happened.ending, switched)
         if happened.replan:
             self._plan()
         self._write(self.at.t)
+
+    def _record(self, passed: Sequence[Passed]) -> None:
+        """Record instants, and the events at them."""
+        first = len(self.instants)
+        self.instants += [(instant.before, instant.after) for instant in passed]
+        self.events += records_of(self.system, passed, first)
 
     def _end(self, ending: Outcome, switched: Iterable[int]) -> None:
         """End the run if an event does so; raise the error of an instant without a result."""

@@ -363,7 +363,7 @@ class Kernel:
         """
         time, errors = _DOUBLE(), list[BaseException]()
 
-        def told(t: float, *places: "ctypes._Pointer[ctypes.c_double]") -> None:
+        def report(t: float, *places: "ctypes._Pointer[ctypes.c_double]") -> None:
             assert run is not None
             try:
                 margins = run(t)
@@ -378,7 +378,7 @@ class Kernel:
         relation = self._library.cosim_search(
             ctypes.byref(self._call),
             ctypes.byref(given),
-            _FRESH_RUN(told) if run else _FRESH_RUN(),
+            _FRESH_RUN(report) if run else _FRESH_RUN(),
             _LONG(goes_on),
             ctypes.byref(time),
         )

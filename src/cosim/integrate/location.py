@@ -12,7 +12,7 @@ from casadi_models.dae.hybrid import Hybrid, input_rates, with_rates
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.errors import SolverError
-from cosim.integrate.call import Reached
+from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.kernel import Kernel, Rows, State
 from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
@@ -235,6 +235,8 @@ class Piece:
         if t - times[0] <= _SAME_TIME * max(min(1.0, self.span), abs(t)):  # too short a step
             return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
         found = self._run(self.problem, times, self.x[k], self.z[k])
+        if found.reason == INTERRUPTED:
+            raise KeyboardInterrupt
         if found.states.shape[1] < 2:
             return None
         return found.states[:, 1], found.algebraics[:, 1]
