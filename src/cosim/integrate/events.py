@@ -300,22 +300,23 @@ class _Course:
         return due
 
     def _next_rest(self, at: Instant, series: InputSeries | None, end: float) -> float:
-        """Return the next sample at which a relation of inputs becomes 0, s, up to an end.
+        """Return the next sample at which a relation of inputs becomes 0 and rests, s, to an end.
 
-        If nothing moves the relation from there on, it has the value of its operator.
+        As nothing moves the relation from there on, it has the value of its operator.
         """
         which = list(self.system.resting)
         if series is None or not which:
             return np.inf
         begin, stop = series.time.searchsorted((at.t, end), "right")
-        times = np.append(at.t, series.time[begin:stop])
+        times = np.concatenate(([at.t], series.time[begin : stop + 1], [series.time[-1] + 1]))
         u, _ = with_slopes(self.dae, series.around(at.t), at.inputs, times)
         x, z = (np.tile(row, (len(times), 1)) for row in (at.x, at.z))
         seen = watch(self.system, times, (x, z, u, 0 * u), self.values.p, closely=False)
         values = seen.arguments[:, which]
         boundaries = np.where(np.array(self.system.floors)[which], np.round(values), 0)
-        reached = (values[1:] == boundaries[1:]) & (values[:-1] != boundaries[:-1])
-        found = times[1:][reached.any(axis=1)]
+        moves = np.diff(values, axis=0) != 0
+        rests = (values == boundaries)[1:-1] & moves[:-1] & ~moves[1:]
+        found = times[1:-1][rests.any(axis=1)]
         return float(found[0]) if found.size else np.inf
 
     def _rest_after(
