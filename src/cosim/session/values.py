@@ -59,7 +59,9 @@ class Values:
                 value = plain_value(self._name, self._description, variable, value)
             found.append((group, value))
         for group, plain in found:
-            group.buffer[0] = plain
+            if not group.is_plain:  # an element: the others stay as they are
+                self._check(group.get(), "Get")
+            group.buffer[group.places] = plain
             status = group.set()
             if status > WARNING:
                 self._check(status, "Set")
@@ -85,7 +87,7 @@ class Values:
             groups = None
         if groups is None:
             groups = self._selection(key)
-        if len(groups) == 1:
+        if len(groups) == 1 and groups[0].is_plain:
             status = groups[0].get()
             if status > WARNING:
                 self._check(status, "Get")
@@ -93,7 +95,7 @@ class Values:
         row = np.empty(sum(len(group.columns) for group in groups))
         for group in groups:
             self._check(group.get(), "Get")
-            row[group.columns] = group.buffer
+            row[group.columns] = group.buffer[group.places]
         return row
 
     def _selection(self, names: Any) -> list[Group]:
