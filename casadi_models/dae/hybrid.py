@@ -86,6 +86,13 @@ class Hybrid:
         )
 
     @cached_property
+    def resting_on(self) -> tuple[list[bool], list[bool]]:
+        """Which states, and which inputs with modes, the arguments of those depend on."""
+        arguments = ca.vertcat(SX(0, 1), *(self.relations[i].argument for i in self.resting))
+        x, u = (ca.which_depends(arguments, symbols) for symbols in (self.dae.x, self.dae.u))
+        return x, u
+
+    @cached_property
     def paths(self) -> frozenset[str]:
         """Inputs along which states may slide: arguments of signs depend on both."""
         arguments = [r.argument for r in self.relations if not r.floor]

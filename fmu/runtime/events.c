@@ -120,11 +120,20 @@ double next_event(const Instance *self) {
     return self->state.switching.next;
 }
 
-double end_with_event(const Instance *self, double end) {
-    const double next = next_event(self), step = end - self->state.values[TIME];
-    /* an importer that adds its steps rounds the time in each of them */
+/* Whether only rounding is between the next time event and the end of a step: an importer that adds
+   its steps rounds the time in each of them. */
+static bool is_at_end(const Instance *self, double end) {
+    const double step = end - self->state.values[TIME];
     const double rounding = (8 + self->state.steps) * DBL_EPSILON * fabs(end);
-    return next > end && next <= end + fmin(rounding, step / 2) ? next : end;
+    return fabs(next_event(self) - end) <= fmin(rounding, step / 2);
+}
+
+double end_with_event(const Instance *self, double end) {
+    return is_at_end(self, end) ? fmax(end, next_event(self)) : end;
+}
+
+double event_before(const Instance *self, double end) {
+    return is_at_end(self, end) ? end : next_event(self);
 }
 
 bool run_stopped(const Instance *self) {

@@ -23,6 +23,10 @@ static double next_event(const Instance *self);
    adds its steps is beyond it. */
 static double end_with_event(const Instance *self, double end);
 
+/* The next time event, or the end of a step of co-simulation if only rounding is between them:
+   there it happens again with the inputs that the importer sets. */
+static double event_before(const Instance *self, double end);
+
 static bool run_stopped(const Instance *self);
 
 /* In event mode, until its first update, relations of time have the values that they have at the

@@ -359,7 +359,7 @@ bool integrate_to(Instance *self, double end) {
         if (how == FAILED) return false;
         if (how == WAITS) return true;
         if (how == HAPPENED) continue;
-        until = fmin(fmax(ahead, end), next_event(self));
+        until = fmin(fmax(ahead, end), event_before(self, end));
 #endif
         if (memory->until >= end) break;
         if (!take_step(&ode, &problem, memory, end, until) ||

@@ -244,9 +244,9 @@ bool integrate_to(Instance *self, double end) {
         end = end_with_event(self, end);
         if (*time >= end) return true;
         if (cannot_slide(self) || refresh(self, DERIVATIVES) != OK) return false;
-        const double goal = fmin(end, next_event(self)), rest = goal - *time;
+        const double goal = fmin(end, event_before(self, end)), rest = goal - *time;
         const State before = self->state;
-        const bool last = length >= rest;
+        const bool last = length >= rest || goal - (*time + length) <= 8 * ulp(goal);
         if (advance(self, last ? goal : *time + length, FIXED_STEPS > 0 ? stages : NULL)) {
             if (!end_at_crossing(self, &before, stages, &relation)) {
                 self->state = before;

@@ -1,4 +1,7 @@
-"""Laws of an argument with boundaries at whole numbers, paths of it, and the integrals of both."""
+"""Laws and conditions of an argument with boundaries at whole numbers, and paths of it.
+
+A law is integrated along a path, and a condition counted: how often it becomes true.
+"""
 
 import math
 from collections.abc import Callable
@@ -31,15 +34,36 @@ LAWS: dict[str, tuple[Callable, Callable[[float], float]]] = {
     "sign of fmax": (lambda u: ca.sign(ca.fmax(u - 1, 0)), lambda u: _sign(max(u - 1, 0))),
 }
 
+# The same of conditions
+CONDITIONS: dict[str, tuple[Callable, Callable[[float], bool]]] = {
+    "<": (lambda u: u < 1, lambda u: u < 1),
+    "<=": (lambda u: u <= 1, lambda u: u <= 1),
+    ">": (lambda u: u > 1, lambda u: u > 1),
+    ">=": (lambda u: u >= 1, lambda u: u >= 1),
+    "sign >": (lambda u: ca.sign(u - 1) > 0, lambda u: u > 1),
+    "sign >=": (lambda u: ca.sign(u - 1) >= 0, lambda u: u >= 1),
+    "sign <": (lambda u: ca.sign(u - 1) < 0, lambda u: u < 1),
+    "floor <": (lambda u: ca.floor(u) < 1, lambda u: u < 1),
+    "ceil >": (lambda u: ca.ceil(u) > 1, lambda u: u > 1),
+    "fmod >=": (lambda u: ca.fmod(u, 2) >= 1, lambda u: math.fmod(u, 2) >= 1),
+    "fmin <": (lambda u: ca.fmin(u, 1) < 1, lambda u: u < 1),
+    "fmax <=": (lambda u: ca.fmax(u, 1) <= 1, lambda u: u <= 1),
+    "fabs <=": (lambda u: ca.fabs(u - 1) <= 0, lambda u: u == 1),
+    "fabs >": (lambda u: ca.fabs(u - 1) > 0, lambda u: u != 1),
+    "both": (lambda u: ca.logic_and(u >= 1, u <= 1), lambda u: u == 1),
+}
+
 
 @dataclass(frozen=True)
 class Path:
     """An argument over time, polynomial of at most degree 2 between breaks.
 
     At a break it jumps, rests, sets off, or passes a whole number: laws do not change in between.
+    What is `beyond` its end, if it differs, makes an event of the end.
     """
 
     pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
+    beyond: float | None = None
 
     def integral(self, law: str) -> float:
         """Return the integral of a law of this argument, by Gauss's rule on each piece."""
@@ -51,8 +75,20 @@ class Path:
             total += (end - start) / 2 * float(np.dot(_WEIGHTS, values))
         return total
 
+    def rises(self, condition: str) -> int:
+        """Return how often a condition becomes true, at the start and at the end, too.
 
-def through(*points: tuple[float, float]) -> Path:
+        At the start, that is what is false by value there, and what the motion makes true.
+        """
+        start, _, first = self.pieces[0]
+        values = [first(start), *(value((begin + end) / 2) for begin, end, value in self.pieces)]
+        if self.beyond is not None:
+            values.append(self.beyond)
+        true = [CONDITIONS[condition][1](u) for u in values]
+        return sum(now and not before for before, now in pairwise(true))
+
+
+def through(*points: tuple[float, float], beyond: float | None = None) -> Path:
     """Return the lines through points (time, argument); two of one time are a jump."""
     pieces = []
     for (t0, u0), (t1, u1) in pairwise(points):
@@ -63,7 +99,7 @@ def through(*points: tuple[float, float]) -> Path:
         times = sorted({t0, t1, *(t0 + (u - u0) * (t1 - t0) / (u1 - u0) for u in whole)})
         line = _line(t0, u0, t1, u1)
         pieces += [(start, end, line) for start, end in pairwise(times)]
-    return Path(tuple(pieces))
+    return Path(tuple(pieces), beyond)
 
 
 def curve(value: Callable[[float], float], *breaks: float) -> Path:

@@ -31,10 +31,10 @@ _KNOWN = Path(__file__).parents[1] / "hybrid" / "known.txt"
 
 
 @cache
-def exported(dae: Dae, fmi: int) -> Path:
+def exported(dae: Dae, fmi: int, **options: object) -> Path:
     """Return an FMU of a model, made once in this process."""
     path = _FOLDER / f"{len(list(_FOLDER.iterdir()))}_{dae.name}.fmu"
-    return cosim.export_fmu(dae, path, fmi=fmi)
+    return cosim.export_fmu(dae, path, fmi=fmi, **options)
 
 
 def run_on(engine: str, dae: Dae, **options: object) -> cosim.Trajectory:

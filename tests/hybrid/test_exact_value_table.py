@@ -1,15 +1,17 @@
 """The table of exact values: each law of each kind of argument on each path of it, on each engine.
 
-A law is integrated, so that a final value tells where it switched and what it was at rest. The
-right value comes from the path alone: `helpers.exact_paths` knows neither CasADi nor our code.
+A law is integrated, so that a final value tells where it switched and what it was at rest; a
+condition that no law has is counted. The right value comes from the path alone:
+`helpers.exact_paths` knows neither CasADi nor our code.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.exact_paths import LAWS, Path, curve, through
+from helpers.exact_paths import CONDITIONS, LAWS, Path, curve, through
 from helpers.fmi_cases import VERSIONS
 from helpers.hybrid_engines import ENGINES, STEPPED, judge, run_on, step_with_values
 
@@ -35,6 +37,21 @@ def integrals(model, arguments):
 def name_of(path, law):
     """Return the name of the state that integrates a law on a path."""
     return f"y_{path.replace(' ', '_')}_{list(LAWS).index(law)}"
+
+
+def counts(model, arguments):
+    """Add how often each condition of each argument becomes true, and return the frozen model."""
+    model.derivative(model.state("passed", "s", 0.0, "time"), 1)
+    for path, argument in arguments.items():
+        for condition, (build, _) in CONDITIONS.items():
+            n = model.discrete(count_of(path, condition), "1", 0.0, condition)
+            model.when(build(argument), {n: n + 1})
+    return model.freeze()
+
+
+def count_of(path, condition):
+    """Return the name of the number of times a condition became true on a path."""
+    return f"n_{path.replace(' ', '_')}_{list(CONDITIONS).index(condition)}"
 
 
 def assert_near(value, right, engine):
@@ -79,6 +96,8 @@ INPUT_PATHS = {
     "saw": ((0, 0), (1, 1), (1, 0), (2, 1), (2, 0), (3, 1), (3, 0), (4, 1)),
     "signal": ((0, 0), (1, 0), (1, 1), (2, 1), (2, 0), (3, 0), (3, 1), (4, 1)),
     "jump to it at the end": ((0, 0), (4, 0), (4, 1)),
+    "ends at it": ((0, 0), (1, 1)),  # and stays there
+    "ends above it": ((0, 0), (2, 2)),
 }
 FORMULAS = {
     "formula to it from below": ("where(t < 1, t, 1)", ((0, 0), (1, 1), (4, 1))),
@@ -90,22 +109,29 @@ FORMULAS = {
 }  # fmt: skip
 
 
+def path_of(path):
+    """Return the course of an input, which rests after its last point."""
+    points = INPUT_PATHS[path] if path in INPUT_PATHS else FORMULAS[path][1]
+    last = points[-1][1]
+    return through(*points, *([(STOP, last)] if points[-1][0] < STOP else []), beyond=last)
+
+
 @cache
-def input_model():
-    """Return the integrals of all laws of an input."""
+def input_model(add=integrals):
+    """Return the integrals of all laws of an input, or the counts of all conditions."""
     model = cosim.Model("of_input", stop_time=STOP, output_interval=0.1)
-    return integrals(model, {"u": model.input("u", "1", 0.0, "argument")})
+    return add(model, {"u": model.input("u", "1", 0.0, "argument")})
 
 
 @cache
-def input_run(engine, path):
+def input_run(engine, path, add=integrals):
     """Return the run of a path of the input, or the error that ended it."""
     if path in FORMULAS:
         inputs = {"u": FORMULAS[path][0]}
     else:
         time, values = zip(*INPUT_PATHS[path], strict=True)
         inputs = cosim.InputSeries(("u",), time, [[value] for value in values])
-    return attempt(lambda: run_on(engine, input_model(), inputs=inputs).final)
+    return attempt(lambda: run_on(engine, input_model(add), inputs=inputs).final)
 
 
 def attempt(run):
@@ -127,10 +153,7 @@ def attempt(run):
 @pytest.mark.parametrize("engine", marked(TAKING_INPUTS, "fmu3 cs fmpy", "fmu3 me fmpy"))
 @pytest.mark.parametrize("path", [*INPUT_PATHS, *FORMULAS])
 def test_a_law_of_an_input_switches_where_its_path_does(path, engine):
-    points = INPUT_PATHS[path] if path in INPUT_PATHS else FORMULAS[path][1]
-    right = through(*points)
-    final = input_run(engine, path)
-    judge_laws(f"input/{path}", "u", engine, final, right)
+    judge_laws(f"input/{path}", "u", engine, input_run(engine, path), path_of(path))
 
 
 def judge_laws(title, path, engine, final, right: Path):
@@ -144,6 +167,24 @@ def judge_laws(title, path, engine, final, right: Path):
         )
         wrong += [complaint] if complaint else []
     assert not wrong, "\n".join(["", *wrong])
+
+
+def judge_counts(path, final, right: Path):
+    """Judge all conditions of a path."""
+    found = {condition: final()[count_of(path, condition)] for condition in CONDITIONS}
+    assert found == {condition: right.rises(condition) for condition in CONDITIONS}, path
+
+
+@pytest.mark.quick_share(0.3)
+@pytest.mark.parametrize("engine", marked(TAKING_INPUTS))
+@pytest.mark.parametrize("path", [*INPUT_PATHS, *FORMULAS])
+def test_a_condition_of_an_input_becomes_true_where_its_path_says(path, engine):
+    if " me " in engine and path.startswith("touch"):
+        return  # importers do not pass rates: where an input touches 1, it is 1 to such an FMU
+    right = path_of(path)
+    if " cs " in engine:  # what comes at the end of its last step is left to the next one
+        right = replace(right, beyond=None)
+    judge_counts("u", input_run(engine, path, counts), right)
 
 
 SET = {
@@ -200,7 +241,7 @@ STATE_PATHS = {
     "at it": through((0, 1), (4, 1)),
     "from it up": through((0, 1), (4, 1.5)),
     "from it down": through((0, 1), (4, 0.5)),
-    "to it at the end": through((0, 0), (4, 1)),
+    "to it at the end": through((0, 0), (4, 1), beyond=1.1),
     "assigned from below": through((0, 0.5), (1, 0.5), (1, 1), (4, 1)),
     "assigned from above": through((0, 1.5), (1, 1.5), (1, 1), (4, 1)),
     "touch from below": curve(lambda t: 1 - (t - 2) ** 2 / 4, 0, 2, 4),
@@ -236,10 +277,10 @@ def changed(model):
 
 
 @cache
-def state_model(group):
-    """Return the integrals of all laws of a group of states."""
+def state_model(group, add=integrals):
+    """Return the integrals of all laws of a group of states, or the counts of all conditions."""
     model = cosim.Model(f"of_states_{group}", stop_time=STOP, output_interval=0.1)
-    return integrals(model, {"moving": moving, "changed": changed}[group](model))
+    return add(model, {"moving": moving, "changed": changed}[group](model))
 
 
 @pytest.mark.slow_rows("changed-fmu2 cs fmpy", "moving-cvodes", "moving-fmu2 cs fmpy")
@@ -249,6 +290,15 @@ def test_a_law_of_a_state_switches_where_its_path_does(group, engine):
     final = attempt(lambda: run_on(engine, state_model(group)).final)
     for path in GROUPS[group]:
         judge_laws(f"state/{path}", path, engine, final, STATE_PATHS[path])
+
+
+@pytest.mark.slow_rows("moving-fmu2 cs fmpy", "moving-fmu2 me fmpy", "changed-cvodes")
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_condition_of_a_state_becomes_true_where_its_path_says(group, engine):
+    final = attempt(lambda: run_on(engine, state_model(group, counts)).final)
+    for path in GROUPS[group]:
+        judge_counts(path, final, STATE_PATHS[path])
 
 
 # Discrete variables and parameters
@@ -265,14 +315,14 @@ STAIRS = {
 
 
 @cache
-def discrete_model():
-    """Return the integrals of all laws of a discrete variable that changes each second."""
+def discrete_model(add=integrals):
+    """Return integrals or counts of a discrete variable that changes each second."""
     model = cosim.Model("of_discrete", stop_time=STOP, output_interval=0.1)
     n = model.discrete("n", "1", 0.0, "argument")
     for second in (1, 2, 3):
         value = model.parameter(f"n{second}", "1", 0.0, f"value from {second} s on")
         model.when(model.t >= second, {n: value}, name=f"step {second}")
-    return integrals(model, {"n": n})
+    return add(model, {"n": n})
 
 
 @pytest.mark.quick_share(0.3)
@@ -285,6 +335,17 @@ def test_a_law_of_a_discrete_variable_has_the_value_of_each_piece(path, engine):
     points = [(i + end, u) for i, u in enumerate(values) for end in (0, 1)]
     final = attempt(lambda: run_on(engine, discrete_model(), start_values=start).final)
     judge_laws(f"discrete/{path}", "n", engine, final, through(*points))
+
+
+@pytest.mark.quick_share(0.3)
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("path", STAIRS)
+def test_a_condition_of_a_discrete_variable_becomes_true_at_its_steps(path, engine):
+    values = STAIRS[path]
+    start = dict(zip(("n", "n1", "n2", "n3"), map(float, values), strict=True))
+    points = [(i + end, u) for i, u in enumerate(values) for end in (0, 1)]
+    run = run_on(engine, discrete_model(counts), start_values=start)
+    judge_counts("n", lambda: run.final, through(*points))
 
 
 @cache
@@ -305,20 +366,23 @@ def test_a_law_of_a_parameter_has_its_value(value, engine):
 
 # Time
 
+SAW = through(*[(i + u, u) for i in range(4) for u in (0, 1)], beyond=0)
+UP = through(*[(i + end, i + 1) for i in range(4) for end in (0, 1)])
+CEIL = Path(((0, 0, lambda t: 0), *UP.pieces), beyond=5)  # 0 at 0 s, and 1 from there on
 TIME_PATHS = {
     "up": (lambda t: t, through((0, 0), (4, 4))),
     "down": (lambda t: 2 - t, through((0, 2), (4, -2))),
     "from it up": (lambda t: 1 + t / 8, through((0, 1), (4, 1.5))),
     "from it down": (lambda t: 1 - t / 8, through((0, 1), (4, 0.5))),
-    "to it at the end": (lambda t: t / 4, through((0, 0), (4, 1))),
+    "to it at the end": (lambda t: t / 4, through((0, 0), (4, 1), beyond=1.1)),
     "up to it and rest": (lambda t: ca.fmin(t, 1), through((0, 0), (1, 1), (4, 1))),
     "down to it and rest": (lambda t: ca.fmax(2 - t, 1), through((0, 2), (1, 1), (4, 1))),
     "touch": (lambda t: 1 - ca.fabs(t - 1) / 3, through((0, 2 / 3), (1, 1), (4, 0))),
     "branches": (lambda t: ca.if_else(t < 1, t, 1), through((0, 0), (1, 1), (4, 1))),
-    "floor": (ca.floor, through(*[(i + end, i) for i in range(4) for end in (0, 1)])),
-    "ceil": (ca.ceil, through(*[(i + end, i + 1) for i in range(4) for end in (0, 1)])),
-    "saw": (lambda t: t - ca.floor(t), through(*[(i + u, u) for i in range(4) for u in (0, 1)])),
-    "modulo": (lambda t: ca.fmod(t, 1), through(*[(i + u, u) for i in range(4) for u in (0, 1)])),
+    "floor": (ca.floor, through(*((i + end, i) for i in range(4) for end in (0, 1)), beyond=4)),
+    "ceil": (ca.ceil, CEIL),
+    "saw": (lambda t: t - ca.floor(t), SAW),
+    "modulo": (lambda t: ca.fmod(t, 1), SAW),
     "parabola": (lambda t: 1 - (t - 2) ** 2 / 4, curve(lambda t: 1 - (t - 2) ** 2 / 4, 0, 2, 4)),
 }  # fmt: skip
 TIMES = {"moving": 5, "resting": 9, "jumping": len(TIME_PATHS)}  # where each group ends
@@ -332,10 +396,10 @@ def time_paths(group):
 
 
 @cache
-def time_model(group):
-    """Return the integrals of all laws of arguments of time."""
+def time_model(group, add=integrals):
+    """Return the integrals of all laws of arguments of time, or the counts of all conditions."""
     model = cosim.Model(f"of_time_{group}", stop_time=STOP, output_interval=0.1)
-    return integrals(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
+    return add(model, {path: law(model.t) for path, (law, _) in time_paths(group).items()})
 
 
 @pytest.mark.quick_share(0.3)
@@ -346,3 +410,13 @@ def test_a_law_of_time_switches_where_its_path_does(group, engine):
     final = attempt(lambda: run_on(engine, time_model(group)).final)
     for path, (_, right) in time_paths(group).items():
         judge_laws(f"time/{path}", path, engine, final, right)
+
+
+@pytest.mark.quick_share(0.3)
+@pytest.mark.slow_rows("moving-cvodes")
+@pytest.mark.parametrize("engine", marked(ENGINES))
+@pytest.mark.parametrize("group", TIMES)
+def test_a_condition_of_time_becomes_true_where_its_path_says(group, engine):
+    final = attempt(lambda: run_on(engine, time_model(group, counts)).final)
+    for path, (_, right) in time_paths(group).items():
+        judge_counts(path, final, right)

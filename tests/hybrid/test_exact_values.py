@@ -90,6 +90,49 @@ def test_a_signal_of_zero_and_one_switches_at_its_jumps(law, backend):
     assert run.final["x"] == pytest.approx(3, abs=1e-6)
 
 
+def meeting():
+    """Return how long one input has been at least another one, more than it, and equal to it."""
+    model = cosim.Model("meeting", stop_time=4.0, output_interval=0.1)
+    a, b = model.input("a", "1", 0.0, "one"), model.input("b", "1", 0.0, "other")
+    for name, law in {"least": a >= b, "more": a > b, "equal": ca.fabs(a - b) <= 0}.items():
+        model.derivative(model.state(name, "s", 0.0, "time"), ca.if_else(law, 1.0, 0.0))
+    return model.freeze()
+
+
+MEETING = meeting()
+
+
+@pytest.mark.slow_rows("dop853", "CoSimulation")
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_inputs_that_meet_and_move_on_together_are_equal(backend):
+    both = cosim.InputSeries(("a", "b"), [0, 1, 2, 4], [[0, 1], [2, 2], [3, 3], [6, 5]])
+    run = simulated(MEETING, backend, inputs=both)
+    found = [run.final[name] for name in ("least", "more", "equal")]
+    assert found == pytest.approx([3, 2, 1], abs=1e-5)  # measured 2e-15, 2e-6 (model exchange)
+
+
+def lowered():
+    """Return the time for which an input is at least what an event of a state lowers to 1."""
+    model = cosim.Model("lowered", stop_time=4.0, output_interval=0.1)
+    x, u = model.state("x", "s", 0.0, "time"), model.input("u", "1", 0.0, "input")
+    level, y = model.discrete("d", "1", 5.0, "threshold"), model.state("X", "s", 0.0, "time above")
+    model.derivative(x, 1)
+    model.derivative(y, ca.if_else(u >= level, 1.0, 0.0))
+    model.when(x >= 0.53, {level: 1})
+    return model.freeze()
+
+
+LOWERED = lowered()
+
+
+@pytest.mark.slow_rows("cvodes", "CoSimulation")
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_input_rests_at_a_threshold_that_an_event_has_moved_there(backend):
+    pressed = cosim.InputSeries(("u",), [0, 1, 4], [[0], [1], [1]])
+    run = simulated(LOWERED, backend, inputs=pressed)
+    assert run.final["X"] == pytest.approx(3, abs=1e-6)
+
+
 def counter():
     """Return a count that falls to 0 and stays there, and the integral of its sign."""
     model = cosim.Model("counter", stop_time=5.0)

@@ -6,6 +6,7 @@ x_next = u + r / w + (x - u - r / w) exp(-w T) is the oracle.
 
 import numpy as np
 import pytest
+from helpers.hybrid_engines import exported, run_on
 
 import cosim
 import cosim.integrate.events as course
@@ -130,3 +131,28 @@ def test_pieces_between_samples_share_one_engine_though_an_input_follows_a_table
     exactly = cosim.simulate(sampled(), solver=COMPILED["dop853"], inputs=table)
     np.testing.assert_allclose(run["x"], exactly["x"], atol=1e-5)  # measured: 1e-8 to 8e-7
     assert len(built) < 10  # one for each of 50 samples before
+
+
+def summing():
+    """Return the sum of an input's samples, 0.1 s apart."""
+    model = cosim.Model("summing", stop_time=1.0, output_interval=0.05)
+    model.derivative(model.state("x", "s", 0.0, "time"), 1)
+    u, total = model.input("u", "1", 0.0, "u"), model.discrete("n", "1", 0.0, "sum")
+    model.every(0.1, {total: total + u}, name="sample")
+    return model.freeze()
+
+
+SUMMING = summing()
+
+
+@pytest.mark.quick_share(0.3)
+@pytest.mark.parametrize("time", [0.3, 3 * 0.1, 0.7, 7 * 0.1])  # rows and samples differ by 6e-17
+@pytest.mark.parametrize("engine", ["cvodes", "fmu2 cs fmpy", "dop853", "fmu2 me fmpy", "fmu3 cs"])
+def test_a_sample_takes_the_new_value_of_an_input_that_jumps_there_but_for_rounding(engine, time):
+    jump = cosim.InputSeries(("u",), [0, time, time, 2], [[0], [0], [1], [1]])
+    if engine == "fmu3 cs":  # whose steps are equal
+        path = exported(SUMMING, 3, solver="rk4")
+        run = cosim.simulate_fmu(path, interface="CoSimulation", inputs=jump)
+    else:
+        run = run_on(engine, SUMMING, inputs=jump)
+    assert run.final["n"] == 11 - round(10 * time)

@@ -57,6 +57,24 @@ static inline void modes_of_time(const Laws *laws, const Point *at, double t, do
     }
 }
 
+/* Modes by value, whatever follows: at a boundary those of the operators, and of what holds others'
+ * modes, such as floor(x) < 1, those that follow from these. */
+static inline bool modes_of_values(const Laws *laws, const Switching *s, const Point *at,
+                                   const Seen *seen) {
+    for (int i = 0; i < MODES; i++) {
+        const Relation *relation = &laws->relations[i];
+        Seen now;
+        if (s->state[i] == SLIDES) continue;
+        if (!laws->see(laws->owner, at, &now)) return false;
+        const double value = now.arguments[i], boundary = relation->floor ? round(value) : 0;
+        if (value == boundary && !relation->floor && relation->at_zero != KEEPS)
+            modes_of(at)[i] = relation->at_zero;
+        else if (isfinite(value) && (value != seen->arguments[i] || value == boundary))
+            modes_of(at)[i] = mode_by_value(relation->floor, value);
+    }
+    return true;
+}
+
 /* The conditions before the start: at a boundary, where only the value has been decisive; of
  * samples their number, as one may be due at the start itself. */
 static inline Ending begin_events(const Laws *laws, Switching *s, const Point *at) {
@@ -71,12 +89,9 @@ static inline Ending begin_events(const Laws *laws, Switching *s, const Point *a
     memcpy(here, modes, sizeof here - sizeof *here);
     modes_of_time(laws, at, at->t - 8 * DBL_EPSILON * fmax(fabs(at->t), TINY), modes);
     bool valued = laws->decide(laws->owner, at, &before);
-    for (int i = 0; i < MODES; i++) {
-        const int at_zero = laws->relations[i].at_zero;
-        const bool decisive = seen.arguments[i] == 0 && at_zero != KEEPS && s->state[i] != SLIDES;
-        modes[i] = decisive ? at_zero : here[i];
-    }
-    valued = valued && laws->decide(laws->owner, at, &literal);
+    memcpy(modes, here, sizeof here - sizeof *here);
+    valued =
+        valued && modes_of_values(laws, s, at, &seen) && laws->decide(laws->owner, at, &literal);
     memcpy(modes, here, sizeof here - sizeof *here);
     if (!valued) return ending(NO_VALUE, -1);
     for (int i = 0; i < EVENTS; i++)

@@ -74,7 +74,9 @@ static inline bool is_due(const Switching *s, int i, double t) {
 
 /* The next time event of a run that ends at a time, but for rounding; infinite: none. */
 static inline double next_until(const Switching *s, double end) {
-    return s->next <= end + 8 * ulp(end) ? fmin(s->next, end) : INFINITY;
+    const double rounding = 8 * ulp(end);
+    if (s->next > end + rounding) return INFINITY;
+    return s->next < end - rounding ? s->next : end;
 }
 
 static inline bool is_sliding(const Switching *s) {

@@ -24,7 +24,7 @@ from cosim.integrate.growth import followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
 from cosim.integrate.location import Piece, located, located_at_end, with_input_rates, with_slopes
-from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding
+from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding, watch
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, between, with_conditions, with_note_on_steps
@@ -246,13 +246,19 @@ class _Course:
         ends = series.breaks if series else np.empty(0), self.pulses
         later = (times[times.searchsorted(at.t, "right") :] for times in ends)
         jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
-        rest = self._next_rest(series, min(due, jump, float(grid[-1]), pulse))
-        end = min(due, jump, float(grid[-1]), pulse, rest)
         last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
-        if grid[last] < end:
-            end = float(grid[last])
-        rows = grid[self.next :][grid[self.next :] < end]
-        piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
+        end = min(due, jump, float(grid[last]), pulse)
+        rest = self._next_rest(at, series, end)
+        end = min(end, rest)
+        left = None if self.kernel is None else self.kernel.switching.numbers.copy()
+        while True:
+            rows = grid[self.next :][grid[self.next :] < end]
+            piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
+            earlier = self._rest_after(piece.passed, series, end)
+            if self.kernel is None or earlier >= end:
+                break
+            self.kernel.switching.numbers[:] = left
+            end = rest = earlier
         self._pass(piece)
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
@@ -284,26 +290,48 @@ class _Course:
         return Ending()
 
     def _next_due(self) -> float:
-        """Return the next time event, s; an output time, if only rounding is between them."""
+        """Return the next time event, s; where an input jumps or a row is, but for rounding."""
         due = np.inf if self.kernel is None else self.kernel.due
-        row = float(self.grid[self.grid.searchsorted(due) - 1])
-        return row if self.at.t < row and due - row <= 8 * np.spacing(abs(row)) else due
+        for times in (self.series.breaks if self.series else np.empty(0), self.grid):
+            k = int(times.searchsorted(due))
+            for time in times[max(k - 1, 0) : k + 1].tolist():
+                if self.at.t < time and abs(due - time) <= 8 * np.spacing(abs(time)):
+                    return float(time)
+        return due
 
-    def _next_rest(self, series: InputSeries | None, end: float) -> float:
-        """Return when an input comes to rest where a relation of inputs is 0, s, before an end.
+    def _next_rest(self, at: Instant, series: InputSeries | None, end: float) -> float:
+        """Return the next sample at which a relation of inputs becomes 0 and rests, s, to an end.
 
-        There, nothing moves the relation any more, and it has the value of its operator.
+        As nothing moves the relation from there on, it has the value of its operator.
         """
-        at, which = self.at, list(self.system.resting)
+        which = list(self.system.resting)
         if series is None or not which:
             return np.inf
-        begin, stop = series.rests.searchsorted((at.t, end), "right")
-        for t in series.rests[begin:stop].tolist():
-            u, du = with_slopes(self.dae, series.around(t), self.values.u, np.array([t]))
-            seen = replace(at, t=t, u=u[0], du=du[0], sliding=frozenset[int]())
-            values = seen.watched(self.system, self.values.p).arguments[0, which]
-            if (values == np.where(np.array(self.system.floors)[which], np.round(values), 0)).any():
-                return float(t)
+        begin, stop = series.time.searchsorted((at.t, end), "right")
+        times = np.concatenate(([at.t], series.time[begin : stop + 1], [series.time[-1] + 1]))
+        u, _ = with_slopes(self.dae, series.around(at.t), at.inputs, times)
+        x, z = (np.tile(row, (len(times), 1)) for row in (at.x, at.z))
+        seen = watch(self.system, times, (x, z, u, 0 * u), self.values.p, closely=False)
+        values = seen.arguments[:, which]
+        boundaries = np.where(np.array(self.system.floors)[which], np.round(values), 0)
+        moves = np.diff(values, axis=0) != 0
+        rests = (values == boundaries)[1:-1] & moves[:-1] & ~moves[1:]
+        found = times[1:-1][rests.any(axis=1)]
+        return float(found[0]) if found.size else np.inf
+
+    def _rest_after(
+        self, passed: Sequence[Passed], series: InputSeries | None, end: float
+    ) -> float:
+        """Return the first such sample after events of a piece that have moved such a relation."""
+        if series is None or not self.system.resting:
+            return np.inf
+        states, inputs = self.system.resting_on
+        for before, after, *_ in passed:
+            moved = (before.x != after.x)[states].any()
+            if not moved and not (before.inputs != after.inputs)[inputs].any():
+                continue
+            if (rest := self._next_rest(after, series, end)) < end:
+                return rest
         return np.inf
 
     def _followed(self) -> InputSeries | None:

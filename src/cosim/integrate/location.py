@@ -191,11 +191,13 @@ class Piece:
         return Rows.of(t, x, dx, *self._inputs(t), inside, np.abs(middle - slopes))
 
     def ends(self, k: int) -> Rows:
-        """Return the rows at both ends of an interval."""
+        """Return the rows at both ends of an interval, with its own slopes of inputs."""
         own = slice(k, k + 2)
         t, x = self.times[own], self.x[own]
-        unknown = np.empty(0)
-        return Rows.of(t, x, self.rates(k), *self._inputs(t), unknown, unknown)
+        u, du = self._inputs(t)
+        _, before = self._inputs(np.nextafter(t[1:], -np.inf))
+        slopes, unknown = np.concatenate((du[:1], before)), np.empty(0)
+        return Rows.of(t, x, self.rates(k), u, slopes, unknown, unknown)
 
     def _slopes(self, times: Vector, x: Vector, z: Vector) -> Vector:
         """Return dx/dt at some times and states, (n, nx)."""

@@ -93,14 +93,6 @@ class InputSeries:
         return np.unique(self.time[np.concatenate((short, short + 1))])
 
     @cached_property
-    def rests(self) -> Vector:
-        """Sample times at which an input that has moved comes to rest, s."""
-        equal = np.diff(self.values, axis=0) == 0
-        begins = equal[1:] & ~equal[:-1]
-        found: Vector = np.unique(self.time[1:-1][begins.any(axis=1)])
-        return found
-
-    @cached_property
     def jumps(self) -> Vector:
         """The times that stand twice, s."""
         found: Vector = self.time[1:][np.diff(self.time) == 0]
