@@ -67,13 +67,16 @@ class Session(Life):
             found = [*dae.observed]  # as in runs and copies; a file lists the states first
         self.outputs = tuple(found)
         self.states = tuple(item.variable.derivative.name for item in description.derivatives)
-        facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
         self._serializes = bool(description.coSimulation.canSerializeFMUstate)
-        self._owner = uuid.uuid4().bytes
-        if self._serializes:
-            self._owner = hashlib.sha256(facts.encode()).digest()[:16]
+        self._owner = self.identity() if self._serializes else uuid.uuid4().bytes
         self._used = False
         self._begin_at(self._start_values)
+
+    def identity(self) -> bytes:
+        """Return what tells the session from those whose states it cannot take."""
+        description = self._description
+        facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
+        return hashlib.sha256(facts.encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
 

@@ -88,7 +88,7 @@ class SystemSession(Life):
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
         self._begin_at(self._start_values)
 
-    def _identity(self) -> bytes:
+    def identity(self) -> bytes:
         """Return what tells the session from those whose states it cannot take."""
         facts = [
             f"{name} {part.description.guid} {part.description.modelName}"
@@ -296,7 +296,7 @@ class SystemSession(Life):
 
     @cached_property
     def _saver(self) -> bytes:
-        return self._identity() if self._states.serializes else uuid.uuid4().bytes
+        return self.identity() if self._states.serializes else uuid.uuid4().bytes
 
     def save(self) -> bytes:
         """Return the state of all parts and of the master; see `Session.save`.
