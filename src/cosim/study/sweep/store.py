@@ -157,8 +157,10 @@ class Store:
                 if folder.exists():
                     folder.rmdir()
                 (place / "store").rename(folder)
-        except OSError as error:
-            raise ExportError(f"cannot create {folder}: {error.strerror or error}") from error
+        except (OSError, ExportError) as error:
+            reason = error.__cause__ or error  # without the temporary folder
+            reason = getattr(reason, "strerror", None) or reason
+            raise ExportError(f"cannot create {folder}: {reason}") from error
         return cls(layout, folder)
 
     @classmethod
