@@ -74,9 +74,9 @@ class Session(Life):
 
     def identity(self) -> bytes:
         """Return what tells the session from those whose states it cannot take."""
-        description = self._description
-        facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
-        return hashlib.sha256(facts.encode()).digest()[:16]
+        one, tolerance = self._description, self._experiment.tolerance
+        facts = one.guid, one.modelName, one.fmiVersion, tolerance  # which a state brings along
+        return hashlib.sha256(repr(facts).encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -266,8 +266,8 @@ class Session(Life):
         """Return the state of the session, for `restore`.
 
         If the FMU writes its state as bytes, as every model does, they outlive the session and
-        hold for other sessions of the same model; otherwise for this session until it is closed
-        or an FMU from elsewhere is reset.
+        hold for other sessions of the same model with the same tolerance; otherwise for this
+        session until it is closed or an FMU from elsewhere is reset.
 
         Raises:
             FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
@@ -314,7 +314,9 @@ class Session(Life):
             self._reject_closed()
         owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
-            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
+            what = "session, as its FMU writes no state as bytes"
+            if self._serializes:
+                what = "model, or with another relative_tolerance"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if not self._serializes and place >= len(self._states.saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
 from cosim.coupling.c_structures import coupling_library
+from cosim.coupling.co_simulation import DEFAULT_ACCURACY
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.failures import failure, violations
 from cosim.coupling.opened_part import explained
@@ -94,7 +95,10 @@ class SystemSession(Life):
             f"{name} {part.description.guid} {part.description.modelName}"
             for name, part in self._instances.parts.items()
         ]
-        text = "\n".join([*facts, f"{self._system.connections} {self._settings.macro_step}"])
+        one, system = self._settings, self._system
+        accuracy = one.macro_step or one.accuracy or DEFAULT_ACCURACY
+        settings = one.macro_step, accuracy, one.tolerance, one.method, dict(system.unused)
+        text = "\n".join([*facts, f"{system.connections} {settings}"])
         return hashlib.sha256(text.encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
@@ -301,7 +305,7 @@ class SystemSession(Life):
     def save(self) -> bytes:
         """Return the state of all parts and of the master; see `Session.save`.
 
-        It holds for sessions of the same system with the same macro_step; if a part does not write
+        It holds for sessions of the same system with the same settings; if a part does not write
         its state as bytes, for this session until its reset.
         """
         self._require()
@@ -344,7 +348,7 @@ class SystemSession(Life):
         if owner != self._saver:
             raise UsageError(
                 f"{self.name}: these bytes were saved by another session or system, or with "
-                "another macro_step"
+                "another macro_step, method, accuracy or tolerance"
             )
         return clock, place, notes, content
 
