@@ -226,7 +226,8 @@ class Session(Life):
         Raises:
             UnknownName, UsageError, ParameterError: A variable does not exist or cannot be set, or
                 a value does not fit; then nothing is set.
-            FmuError: The model rejects a value, has ended or failed, or is closed.
+            FmuError: The model rejects a value, and nothing is set; or it has ended or failed, or
+                is closed.
         """
         if self._phase is not Phase.RUNNING:
             self._require()

@@ -232,11 +232,15 @@ class SystemSession(Life):
         library.begin_changes(place)
         self._answer(())
         try:
-            for name, values in by_part.items():
-                part = self._instances.parts[name]
-                variables = [self._variable(name, one) for one in values]
-                with explained(self.name, part):
-                    access_to(variables, part.instance, part.description).set([*values.values()])
+            with ExitStack() as undoing:
+                for name, values in by_part.items():
+                    part = self._instances.parts[name]
+                    variables = [self._variable(name, one) for one in values]
+                    access = access_to(variables, part.instance, part.description)
+                    with explained(self.name, part):
+                        undoing.callback(access.set, access.get())
+                        access.set([*values.values()])
+                undoing.pop_all()  # no part has rejected its values
         finally:
             library.end_changes(place)
             self._answer(())

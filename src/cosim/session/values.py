@@ -58,11 +58,20 @@ class Values:
             if type(value) is not float or not isfinite(value) or variable.type not in _FLOATS:
                 value = plain_value(self._name, self._description, variable, value)
             found.append((group, value))
-        for group, plain in found:
+        before = [self._present(group) for group, _ in found] if len(found) > 1 else []
+        for number, (group, plain) in enumerate(found):
             group.buffer[0] = plain
             status = group.set()
             if status > WARNING:
+                for (earlier, _), value in zip(found[:number], before, strict=False):
+                    earlier.buffer[0] = value
+                    earlier.set()
                 self._check(status, "Set")
+
+    def _present(self, group: Group) -> Any:
+        """Return the value of a variable."""
+        self._check(group.get(), "Get")
+        return group.buffer[0]
 
     def _setter(self, name: str) -> tuple[Any, Group]:
         """Return a variable that may be set during a run, with its prepared call."""
