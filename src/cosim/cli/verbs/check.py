@@ -2,10 +2,10 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
+from cosim.files import is_file
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, RULES, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
         limit = f"within {args.trial_timeout:g} s; use --timeout"
         raise FmuError(f"{args.file}: its description was not read {limit}") from None
     except FmuError as error:
-        if not Path(args.file).is_file():
+        if not is_file(args.file):
             raise
         findings, args.trials = [RULES["archive"].about("archive", str(error))], False
     if args.trials:
