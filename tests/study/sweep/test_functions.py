@@ -6,6 +6,8 @@ from textwrap import dedent
 import numpy as np
 import pytest
 
+import cosim
+from cosim.errors import UsageError
 from cosim.study.sweep.functions import function_name
 
 MADE = dedent(
@@ -64,3 +66,40 @@ def test_another_code_or_value_is_another_function(kind, changed):
 
 def test_functions_of_packages_and_of_python_have_a_name():
     assert len({function_name(one) for one in (np.max, max, len, np.mean)}) == 4
+
+
+@pytest.mark.parametrize("name", ["omega_final", "alpha", "time", "status", "run", "other"])
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_number_with_a_name_that_the_results_have_is_rejected(name, stored, tmp_path):
+    def own(run):
+        return {name: run.final["omega"]}
+
+    def other(run):
+        return {"other": run.final["omega"]}
+
+    keep = ["final", other, own]
+    target = {"store": tmp_path / "store"} if stored else {}
+    with pytest.raises(UsageError, match=f"a function of keep returns '{name}', which"):
+        cosim.sweep("crank_shaft", {"alpha": [5.0]}, keep=keep, stop_time=1, workers=0, **target)
+
+
+def test_levels_that_are_close_are_different_numbers():
+    """omega = 50 + alpha t crosses each level at its own time."""
+    levels = (51.0, 51.0000001, 51.0000002, 51.5, 1e6)
+    keep = [f"first(omega, {level!r})" for level in levels]
+    found = cosim.sweep("crank_shaft", {"alpha": [5.0]}, keep=keep, stop_time=1, workers=0)
+    expected = [(level - 50) / 5 for level in levels[:4]] + [np.nan]
+    numbers = np.array([column[0] for column in found.numbers.values()])
+    np.testing.assert_allclose(numbers, expected, rtol=0, atol=1e-9)
+    names = [*found.numbers]
+    assert (names[0], names[3], names[4]) == (
+        "omega_first_51",
+        "omega_first_51.5",
+        "omega_first_1e+06",
+    )
+
+
+@pytest.mark.parametrize("level", ["e", "-", "1e", "1-2"])
+def test_a_level_that_is_no_number_is_rejected(level):
+    with pytest.raises(UsageError, match="is no number"):
+        cosim.sweep("crank_shaft", {"alpha": [5.0]}, keep=[f"first(omega, {level})"], workers=0)
