@@ -184,9 +184,15 @@ SHARED void cosim_stay(Call *call, const MotionRows *rows, long long n, double *
     }
 }
 
+#endif
+
+/* Margins and their rates at a time, by a fresh run from the first of two rows. */
+typedef void FreshRun(double t, double *inside, double *rates);
+
 typedef struct {
     Kernel *kernel;
     const MotionRows *rows; /* two of them */
+    FreshRun *run;          /* NULL: the motion is the cubic */
 } Cubic;
 
 static inline void move_on_cubic(const Cubic *self, double t, double x[], double u[], double du[]) {
@@ -212,30 +218,52 @@ static inline void look_on_cubic(void *cubic, double t, Place *found) {
 }
 
 static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
+#if ENCLOSED > 0
     const Cubic *self = cubic;
+    const Kernel *kernel = self->kernel;
     Sample samples[NODES];
     double du[NU + 1];
+    if (is_sliding(kernel->switching)) return true; /* bounds know no modes between -1 and 1 */
     for (int k = 0; k < NODES; k++)
         move_on_cubic(self, node_between(a->t, b->t, k), samples[k], samples[k] + NX, du);
-    const Point at = {a->t, self->kernel->at.x, self->kernel->at.z, self->kernel->at.u};
-    return sampled_stays_within(&self->kernel->laws, self->kernel->switching, &at, b->t - a->t,
+    const Point at = {a->t, kernel->at.x, kernel->at.z, kernel->at.u};
+    return sampled_stays_within(&kernel->laws, kernel->switching, &at, b->t - a->t,
                                 (const Sample *)samples, NULL, a->inside, b->inside);
-}
-
-/* Where a relation leaves its mode between two rows: the relation, or -1. */
-SHARED long long cosim_search(Call *call, const MotionRows *rows, double *time) {
-    Kernel self;
-    Cubic cubic = {&self, rows};
-    Place before, place;
-    open_kernel(&self, call);
-    look_on_cubic(&cubic, rows->times[0], &before);
-    const int found =
-        crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, rows->times[1], &place);
-    *time = place.t;
-    return found;
-}
-
+#else
+    (void)cubic, (void)a, (void)b;
+    return true;
 #endif
+}
+
+static inline bool run_to(void *cubic, double t, Place *found) {
+    const Cubic *self = cubic;
+    found->t = t;
+    self->run(t, found->inside, found->rates);
+    return true;
+}
+
+/* Where a relation leaves its mode between two rows: the relation, or -1. `goes_on`: beyond the
+ * second one the motion goes on as it is. */
+SHARED long long cosim_search(Call *call, const MotionRows *rows, FreshRun *run, long long goes_on,
+                              double *time) {
+    const double begin = rows->times[0], end = rows->times[1];
+    Kernel self;
+    Cubic cubic = {&self, rows, run};
+    Place before, place;
+    Crossing found;
+    open_kernel(&self, call);
+    look_on_cubic(&cubic, begin, &before);
+    if (run) {
+        find_crossing(look_on_cubic, stays_on_cubic, run_to, &cubic, self.switching, begin, before,
+                      end, goes_on, &found);
+    } else {
+        found.relation =
+            crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, end, &place);
+        found.time = place.t;
+    }
+    *time = found.time;
+    return found.relation;
+}
 
 /* What rounding makes of slow relations at a point of the motion. */
 SHARED void cosim_note_least(Call *call) {

@@ -8,10 +8,12 @@ import subprocess
 import sys
 import threading
 import time
+from pkgutil import resolve_name
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.event_models import ball
 from helpers.oscillators import (
     INTERPRETED,
     WAYS,
@@ -246,6 +248,37 @@ def test_interrupt_reaches_a_run_within_a_second(solver, compiled):
     assert 1 <= len(partial) < 4001
     assert np.isfinite(partial.values).all()
     np.testing.assert_array_equal(partial.values[0], short.values[0])
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "kernel.Kernel.happen",
+        "kernel.Kernel.search",
+        "location.Piece.watched",
+        "location.scaled_call",
+        "events.records_of",
+    ],
+)
+def test_interrupt_between_events_keeps_what_was_computed(place, monkeypatch):
+    dae, calls = ball(), []
+    whole = simulate(dae, solver="cvodes")
+    module, _, name = f"cosim.integrate.{place}".rpartition(".")
+    owner = resolve_name(module)
+    function = getattr(owner, name)
+
+    def interrupted(*args, **options):
+        calls.append(name)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return function(*args, **options)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    with pytest.raises(Interrupted) as caught:
+        simulate(dae, solver="cvodes")
+    partial = caught.value.partial
+    assert 0 < partial.time[-1] < whole.time[-1]
+    np.testing.assert_array_equal(partial.values, whole.values[: len(partial)])
 
 
 def test_interrupted_command_writes_what_it_has(tmp_path):

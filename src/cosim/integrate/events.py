@@ -16,6 +16,7 @@ from cosim.arrays import Vector
 from cosim.codegen.terms import pulse_times
 from cosim.errors import InitialConditionError, SolverError, UsageError
 from cosim.host.progress import doing
+from cosim.host.signals import interrupt_noticed
 from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
@@ -35,7 +36,8 @@ from cosim.model.values import Values, own_sizes
 from cosim.text import Ending, EndKind
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
-_LEAST_WINDOW, _LEAST_WATCHED = 8, 1000  # after an event; if the solver ends at the next one
+_LEAST_WINDOW, _LEAST_WATCHED = 31, 1000  # after an event; if the solver ends at the next one
+_SOON = 1.25  # times the rows between events: within which the next one is looked for
 _FEW_STEPS = 100  # take as long as all else of a piece; rows with more steps are fewer in it
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 
@@ -140,6 +142,7 @@ class _Course:
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
         self.next = 0  # row of the grid to be written
+        self.event_row = 0  # the row after it
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
@@ -222,6 +225,9 @@ class _Course:
         while self.next < len(self.grid) and not self.stop and not reason:
             try:
                 reason = self._advance()
+            except KeyboardInterrupt:  # what was computed is shown
+                interrupt_noticed()
+                reason = INTERRUPTED
             except InitialConditionError:
                 reason = Ending(f"no solution after the jump of an input at {self.at.t:g} s")
             except SolverError as error:
@@ -252,8 +258,8 @@ class _Course:
         if found is not None:
             event = found.at
             self._accept(piece, event.t)
-            due_rows = 2 * int(np.searchsorted(piece.times, event.t)) // self.looks
-            self.window = max(self.least_window, min(self.window, due_rows))
+            passed, self.event_row = self.next - self.event_row, self.next
+            self.window = max(self.least_window, int(_SOON * passed))
             self._switch(event, found.first)
             return Ending()
         if piece.reason:
@@ -336,8 +342,7 @@ class _Course:
         """Record the events that the solver went through, and the rows before the last of them."""
         passed = piece.passed
         if passed:
-            self.events += records_of(self.system, passed, len(self.instants))
-            self.instants += [(instant.before, instant.after) for instant in passed]
+            self._record(passed)
             self.at = passed[-1].after
         self._accept(piece, self.at.t, len(passed))
 
@@ -362,12 +367,17 @@ class _Course:
             self.at = self.kernel.after(at)
         switched = happened.zero | at.switched(self.at)
         instant = Passed(at, self.at, happened.events, happened.zero)
-        self.events += records_of(self.system, [instant], len(self.instants))
-        self.instants.append((at, self.at))
+        self._record([instant])
         self._end(happened.ending, switched)
         if happened.replan:
             self._plan()
         self._write(self.at.t)
+
+    def _record(self, passed: Sequence[Passed]) -> None:
+        """Record instants, and the events at them."""
+        first = len(self.instants)
+        self.instants += [(instant.before, instant.after) for instant in passed]
+        self.events += records_of(self.system, passed, first)
 
     def _end(self, ending: Outcome, switched: Iterable[int]) -> None:
         """End the run if an event does so; raise the error of an instant without a result."""

@@ -21,7 +21,9 @@ from cosim.text import EndKind
 
 _DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
 _PLACE = ctypes.c_void_p
-_NOTE = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(_DOUBLE)] * 4)
+_NUMBERS = ctypes.POINTER(_DOUBLE)
+_NOTE = ctypes.CFUNCTYPE(None, *[_NUMBERS] * 4)
+_FRESH_RUN = ctypes.CFUNCTYPE(None, _DOUBLE, _NUMBERS, _NUMBERS)
 
 
 class _Call(ctypes.Structure):
@@ -112,8 +114,14 @@ class Rows(NamedTuple):
     inside: Vector
     defects: Vector
 
+    @classmethod
+    def of(cls, *columns: Vector) -> "Rows":
+        """Return rows of columns that need not be contiguous."""
+        return cls(*(np.ascontiguousarray(column, dtype=float) for column in columns))
+
 
 Listener = Callable[[Vector, Vector, Vector, list[int]], None]  # x, z, u before; events of a round
+FreshRun = Callable[[float], tuple[Vector, Vector]]  # margins and their rates at a time, (m,)
 
 
 @dataclass
@@ -341,19 +349,41 @@ class Kernel:
         )
         return found > 0
 
-    def search(self, rows: "Rows", z: Vector) -> tuple[float, int]:
+    def search(
+        self, rows: "Rows", z: Vector, run: FreshRun | None = None, *, goes_on: bool = False
+    ) -> tuple[float, int]:
         """Return where a relation leaves its mode between two rows, s, and which one; or -1.
 
         Args:
             rows: The rows.
             z: A guess of the algebraic unknowns.
+            run: Tells margins by a fresh run from the first row, the last time where the relation
+                leaves its mode; None if the cubic between the rows is the motion.
+            goes_on: Whether the motion goes on as it is beyond the second row.
         """
-        time = _DOUBLE()
+        time, errors = _DOUBLE(), list[BaseException]()
+
+        def report(t: float, *places: "ctypes._Pointer[ctypes.c_double]") -> None:
+            assert run is not None
+            try:
+                margins = run(t)
+            except BaseException as error:  # it cannot pass through C
+                errors.append(error)
+                margins = (np.zeros(self.switching.modes),) * 2
+            for place, values in zip(places, margins, strict=True):
+                np.ctypeslib.as_array(place, values.shape)[:] = values
+
         given = self._rows(rows)
         self._arrays["z"][: len(z)] = z
         relation = self._library.cosim_search(
-            ctypes.byref(self._call), ctypes.byref(given), ctypes.byref(time)
+            ctypes.byref(self._call),
+            ctypes.byref(given),
+            _FRESH_RUN(report) if run else _FRESH_RUN(),
+            _LONG(goes_on),
+            ctypes.byref(time),
         )
+        if errors:
+            raise errors[0]
         return time.value, int(relation)
 
     def _rows(self, rows: "Rows") -> _Rows:

@@ -223,7 +223,7 @@ class _Search:
         margins = np.array(watched.margins(t[None], x.T, self.p)).reshape(-1, len(t)).T
         modes = np.ones_like(margins)
         every = t, x, dx, modes, 0 * modes, margins, _defects(t, x, dx)
-        return Rows(*(np.ascontiguousarray(c, dtype=float) for c in every)), margins
+        return Rows.of(*every), margins
 
 
 def _defects(t: Vector, x: Vector, dx: Vector) -> Vector:

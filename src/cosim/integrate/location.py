@@ -12,7 +12,7 @@ from casadi_models.dae.hybrid import Hybrid, input_rates, with_rates
 from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.errors import SolverError
-from cosim.integrate.call import Reached
+from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.kernel import Kernel, Rows, State
 from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
@@ -24,11 +24,7 @@ from cosim.model.values import Values
 from cosim.text import Ending
 
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
-_MOST_TRIALS = 40
-_CLOSE = 1e-5  # share of an interval beyond which the solver, not the interpolant, tells the state
-_PLACES = 32  # at which the cubic of an interval is looked at, as many as one call evaluates
-_ZOOMS = 5  # into the place where a margin is least
-_NARROW = 1e-6  # share of an interval within which the solver, not the interpolant, tells the time
+_CLOSE = 1e-5  # share of a fresh run within which the cubic to its end tells the state
 _SAME_INSTANT = 32  # units in the last place of a time
 _SAME_TIME = 1e-12  # relative distance of times
 
@@ -174,34 +170,32 @@ class Piece:
     def margins(self, seen: Watched) -> tuple[Vector, Vector]:
         """Return how far every relation is within its mode, and the rates of that, (n, m).
 
-        Of a relation that slides, how far its mode is within -1 ... 1. Relations of time alone,
-        whose times are known, are left out: far within.
+        Rounding is inside. Of a relation that slides, how far its mode is within -1 ... 1.
+        Relations of time alone, whose times are known, are left out: far within.
         """
         assert self.kernel is not None
         slid = list(self.own.sliding)
         modes = np.tile(self.begin.modes, (len(seen.arguments), 1))
         modes[:, slid] = seen.solved
         inside, towards = self.kernel.margins(seen.arguments, seen.rates, modes)
-        inside -= self.noise
         towards[:, slid] = -np.sign(seen.solved) * seen.solved_rates
         return inside, towards
 
-    @property
-    def noise(self) -> Vector:
-        """By how much rounding moves the arguments, (m,)."""
-        assert self.kernel is not None
-        return self.kernel.switching.slack
-
-    def rows(self, inside: Vector, begin: int, end: int) -> Rows:
-        """Return some rows; margins as `margins` gives them, with rounding."""
-        own = slice(begin, end)
-        t, x, z = self.times[own], self.x[own], self.z[own]
+    def rows(self, inside: Vector) -> Rows:
+        """Return its rows; margins as `margins` gives them."""
+        t, x, z = self.times, self.x, self.z
         dx = self._slopes(t, x, z)
         states = cubics(t, x, dx, np.array([0.5]))[:, 0]
         slopes = 1.5 * np.diff(x, axis=0) / np.diff(t)[:, None] - (dx[1:] + dx[:-1]) / 4
         middle = self._slopes((t[1:] + t[:-1]) / 2, states, (z[1:] + z[:-1]) / 2)
-        columns = t, x, dx, *self._inputs(t), inside[own], np.abs(middle - slopes)
-        return Rows(*map(np.ascontiguousarray, columns))
+        return Rows.of(t, x, dx, *self._inputs(t), inside, np.abs(middle - slopes))
+
+    def ends(self, k: int) -> Rows:
+        """Return the rows at both ends of an interval."""
+        own = slice(k, k + 2)
+        t, x = self.times[own], self.x[own]
+        unknown = np.empty(0)
+        return Rows.of(t, x, self.rates(k), *self._inputs(t), unknown, unknown)
 
     def _slopes(self, times: Vector, x: Vector, z: Vector) -> Vector:
         """Return dx/dt at some times and states, (n, nx)."""
@@ -218,7 +212,7 @@ class Piece:
         assert self.kernel is not None
         if not self.has_bounds:
             return np.ones(len(self.times) - 1, dtype=bool)
-        return self.kernel.stay(self.rows(inside, 0, len(self.times)))
+        return self.kernel.stay(self.rows(inside))
 
     def let_go(self) -> None:
         """Let go of boundaries that an event has displaced, if the end is within them."""
@@ -226,12 +220,6 @@ class Piece:
             return
         if (self.kernel.switching.states == State.LEAVES).any():
             self.kernel.note_inside(self.begin.modes, self.seen.arguments[-1])
-
-    def interpolated(self, k: int, shares: Vector) -> Watched:
-        """Return the relations within an interval, on the cubic through its ends."""
-        t, z = self.times[k : k + 2], np.repeat(self.z[k : k + 1], len(shares), axis=0)
-        x = cubics(t, self.x[k : k + 2], self.rates(k), shares)[0]
-        return self.watched(t[0] + shares * (t[1] - t[0]), x, z, closely=False)
 
     def within(self, k: int) -> "Piece":
         """Return the same motion in one interval, at more times."""
@@ -242,11 +230,13 @@ class Piece:
         return Piece(self.system, self.own, problem, *known)
 
     def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
-        """Return states and unknowns at a time after the k-th one, by the solver."""
+        """Return states and unknowns at a time after the k-th one, or None where that fails."""
         times = np.array([self.times[k], t])
         if t - times[0] <= _SAME_TIME * max(min(1.0, self.span), abs(t)):  # too short a step
             return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
         found = self._run(self.problem, times, self.x[k], self.z[k])
+        if found.reason == INTERRUPTED:
+            raise KeyboardInterrupt
         if found.states.shape[1] < 2:
             return None
         return found.states[:, 1], found.algebraics[:, 1]
@@ -255,15 +245,20 @@ class Piece:
 def with_slopes(
     dae: Dae, series: InputSeries | None, row: Vector, times: Vector
 ) -> tuple[Vector, Vector]:
-    """Return a row of inputs at each time, some of which follow a series, and their slopes."""
-    u, du = np.tile(row, (len(times), 1)), np.zeros((len(times), len(row)))
-    if series is not None:
-        known = [variable.name for variable in dae.inputs]
-        places = [known.index(name) for name in series.names]
-        u[:, places] = series.at(times).T
-        du[:, places] = [series.slopes(float(t)) for t in times]
-        for name, place in input_rates(dae).items():
-            u[:, place] = du[:, known.index(name)]
+    """Return a row of inputs at each time, some of which follow a series, and their slopes.
+
+    Without a series, the results cannot be written to.
+    """
+    size = len(times), len(row)
+    if series is None:
+        return np.broadcast_to(row, size), np.broadcast_to(0.0, size)
+    u, du = np.tile(row, (len(times), 1)), np.zeros(size)
+    known = [variable.name for variable in dae.inputs]
+    places = [known.index(name) for name in series.names]
+    u[:, places] = series.at(times).T
+    du[:, places] = [series.slopes(float(t)) for t in times]
+    for name, place in input_rates(dae).items():
+        u[:, place] = du[:, known.index(name)]
     return u, du
 
 
@@ -317,7 +312,6 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
     if not piece.system.of_states or len(piece.times) < 2:
         return None
     inside, towards = piece.margins(piece.seen)
-    inside += piece.noise
     outside = inside[1:] < 0
     with np.errstate(invalid="ignore"):
         lowest = cubics(piece.times, inside, towards, _INNER).min(axis=1)
@@ -326,34 +320,69 @@ def located(piece: Piece, *, closely: bool = True) -> Located | None:
         dips &= lowest < near * np.maximum(inside[:-1], inside[1:])
     seen = np.asarray((outside | dips).any(axis=1))
     assert piece.kernel is not None
-    leaving = piece.kernel.leaving(piece.times, inside, towards)[1:]
-    leaving[-1] = -1  # what follows may move otherwise
+    leaves = piece.kernel.leaving(piece.times, inside, towards)[1:] >= 0
+    leaves[-1] = False  # what follows may move otherwise
     doubtful = seen | ~piece.stay(inside)
-    for k in np.flatnonzero(doubtful | (leaving >= 0)).tolist():
-        if not doubtful[k]:
-            found = None
-        elif closely and not outside[k].any():
-            found = located(piece.within(k), closely=False)
-        elif seen[k]:
-            found = _in_interval(piece, k, np.flatnonzero(outside[k] | dips[k]))
-        else:
-            share, i = _by_bounds(piece, k)
-            found = None if i < 0 else _refined(piece, k, share, i)
-        if found is None and leaving[k] >= 0:
-            t, x, z = (rows[k + 1 : k + 2] for rows in (piece.times, piece.x, piece.z))
-            found = _at_event(piece, t[0], x[0], piece.watched(t, x, z), int(leaving[k]))
+    for k in np.flatnonzero(doubtful | leaves).tolist():
+        closer = closely and doubtful[k] and not outside[k].any()
+        found = located(piece.within(k), closely=False) if closer else None
+        if found is None and (leaves[k] or not closer):
+            found = _left_in(piece, k, goes_on=k < len(leaves) - 1)
         if found is not None:
             return found
     return None
 
 
-def _by_bounds(piece: Piece, k: int) -> tuple[float, int]:
-    """Return where on the cubic of an interval, 0 to 1, a relation leaves its mode first; or -1."""
+class _FreshRuns:
+    """Runs from where an interval of a piece begins to times near its first event.
+
+    Attributes:
+        t, x: Time and state that were asked for last.
+        seen: The relations there.
+    """
+
+    def __init__(self, piece: Piece, k: int) -> None:
+        self.piece, self.k = piece, k
+        self.t, self.x, self.seen = float(piece.times[k]), piece.x[k], piece.seen
+        self._end: tuple[float, Vector, Vector, Vector] | None = None  # of a run: t, x, dx/dt, z
+
+    def __call__(self, t: float) -> tuple[Vector, Vector]:
+        """Return the margins at a time, and their rates, (m,)."""
+        piece, k = self.piece, self.k
+        begin = float(piece.times[k])
+        near = self._end is not None and abs(t - self._end[0]) <= _CLOSE * (t - begin)
+        found = None if near else piece.state_at(k, t)
+        x, z = found or self._on_cubic(t)
+        seen = piece.watched(np.array([t]), x[None], z[None])
+        if found:
+            self._end = t, x, seen.ode[0], z
+        self.t, self.x, self.seen = t, x, seen
+        (inside,), (towards,) = piece.margins(seen)
+        return inside, towards
+
+    def _on_cubic(self, t: float) -> tuple[Vector, Vector]:
+        """Return states and unknowns on the cubic to the end of the last run, or interval."""
+        piece, k = self.piece, self.k
+        own = slice(k, k + 2)
+        times, x, rates, z = piece.times[own], piece.x[own], piece.rates(k), piece.z[k + 1]
+        if self._end is not None:
+            times, x, rates = times.copy(), x.copy(), rates.copy()
+            times[1], x[1], rates[1], z = self._end
+        share = np.array([(t - times[0]) / (times[1] - times[0])])
+        return cubics(times, x, rates, share)[0, 0], z
+
+
+def _left_in(piece: Piece, k: int, *, goes_on: bool) -> Located | None:
+    """Return the first event in an interval of a piece; None if there is none.
+
+    Args:
+        piece, k: The interval.
+        goes_on: Whether the motion goes on as it is beyond it.
+    """
     assert piece.kernel is not None
-    inside = piece.margins(piece.seen)[0] + piece.noise
-    time, i = piece.kernel.search(piece.rows(inside, k, k + 2), piece.z[k])
-    begin, end = piece.times[k : k + 2].tolist()
-    return (time - begin) / (end - begin), i
+    fresh = _FreshRuns(piece, k)
+    _, i = piece.kernel.search(piece.ends(k), piece.z[k], fresh, goes_on=goes_on)
+    return None if i < 0 else _at_event(piece, fresh.t, fresh.x, fresh.seen, i)
 
 
 def located_at_end(piece: Piece) -> Located | None:
@@ -367,7 +396,7 @@ def located_at_end(piece: Piece) -> Located | None:
     last = slice(-1, None)
     seen = piece.watched(piece.times[last], piece.x[last], piece.z[last])
     inside, towards = piece.margins(seen)
-    (i,) = piece.kernel.leaving(piece.times[last], inside + piece.noise, towards).tolist()
+    (i,) = piece.kernel.leaving(piece.times[last], inside, towards).tolist()
     return None if i < 0 else _at_event(piece, float(piece.times[-1]), piece.x[-1], seen, i)
 
 
@@ -380,109 +409,6 @@ def _crossed(piece: Piece) -> Located | None:
     return _at_event(piece, t, x, piece.watched(np.array([t]), x[None], z[None]), i)
 
 
-def _in_interval(
-    piece: Piece, k: int, which: NDArray[np.intp], without: frozenset[int] = frozenset()
-) -> Located | None:
-    """Return the first event in an interval of a piece; None if there is none.
-
-    Its cubic shows where a relation is outside its mode first, or one of some is least inside.
-    Relations `without` have been found inside in spite of their cubics.
-    """
-    low, high, zooms = 0.0, 1.0, 0
-    while zooms <= _ZOOMS:
-        shares = np.linspace(low, high, _PLACES)
-        inside, towards = piece.margins(piece.interpolated(k, shares))
-        inside[:, list(without)] = np.inf
-        bad = np.flatnonzero((inside[1:] < -piece.noise).any(axis=1))
-        if bad.size:
-            first = int(bad[0])
-            low, high = float(shares[first]), float(shares[first + 1])
-            if high - low <= _NARROW * high:
-                share, i = _by_bounds(piece, k) if piece.has_bounds and not without else (1.0, -1)
-                if i < 0 or share > low - _NARROW:  # not an earlier excursion
-                    share, i = high, int(np.argmin(inside[first + 1]))
-                return _refined(piece, k, share, i) or _in_interval(piece, k, which, without | {i})
-            continue
-        turning = (towards[:-1, which] < 0) & (towards[1:, which] > 0)
-        rows = np.flatnonzero(turning.any(axis=1))
-        if not rows.size:
-            return None
-        low, high, zooms = float(shares[rows[0]]), float(shares[rows[0] + 1]), zooms + 1
-    return None
-
-
-def _refined(piece: Piece, k: int, share: float, i: int, trials: int = 0) -> Located | None:
-    """Return the first event near a share of an interval, by Newton's method; None without one.
-
-    `trials` tells how often an earlier event than that of the relation was found there.
-    """
-    begin, end = low, high = piece.times[k : k + 2].tolist()
-    t = begin + share * (end - begin)
-    x, z = piece.x[k + 1], piece.z[k + 1]
-    seen = piece.watched(np.array([end]), x[None], z[None])
-    crosses = bool(piece.margins(seen)[0][0, i] < 0)  # before `high`
-    for _ in range(_MOST_TRIALS):
-        found = piece.state_at(k, t)
-        if found is None:
-            high, t = t, 0.5 * (low + t)
-            continue
-        x, z = found
-        seen = piece.watched(np.array([t]), x[None], z[None])
-        inside, towards = piece.margins(seen)
-        g, rate = float(inside[0, i]), float(towards[0, i])
-        if g < 0:
-            high, crosses = t, True
-        elif rate > 0 and not crosses:  # if it crosses, it has done so, and returned
-            high = t
-        else:
-            low = t
-        step = -g / rate if rate < 0 else np.inf
-        newton = low <= t + step <= high
-        step = step if newton else 0.5 * (low + high) - t
-        close = _CLOSE * (t - begin) if newton else 0.0
-        if abs(step) <= max(close, 4 * np.spacing(abs(t))):
-            crosses |= newton
-            t, x, z, seen = _polished(piece, k, t, x, z, seen, i)
-            break
-        if high - low <= 4 * np.spacing(abs(t)):
-            break
-        t += step
-    if not crosses:
-        return None
-    inside, towards = piece.margins(seen)
-    leaves = towards[0] < 0  # others have been outside for longer, and are about to return
-    earlier = inside[0] < -np.where(leaves, 8 * np.spacing(abs(t)) * -towards[0], piece.noise)
-    earlier[i] = False
-    if earlier.any() and t > begin and trials < _MOST_TRIALS:
-        delays = np.where(leaves, -inside[0] / np.where(leaves, towards[0], 1.0), 0.0)
-        j = int(np.argmin(np.where(earlier, delays, np.inf)))
-        share = max(0.0, (t + float(delays[j]) - begin) / (end - begin))
-        if first := _refined(piece, k, share, j, trials + 1):
-            return first
-    return _at_event(piece, t, x, seen, i)
-
-
 def _at_event(piece: Piece, t: float, x: Vector, seen: Watched, i: int) -> Located:
     """Return the event of a relation at a known time and state."""
     return Located(piece.instant(t, x, seen.unknowns[0], seen.solved[0]), i)
-
-
-def _polished(
-    piece: Piece, k: int, t: float, x: Vector, z: Vector, seen: Watched, i: int
-) -> tuple[float, Vector, Vector, Watched]:
-    """Return the time and state of an event near a known state, on the cubic to it."""
-    ends, states = np.array([piece.times[k], t]), np.array([piece.x[k], x])
-    slopes = np.array([piece.rates(k)[0], seen.ode[0]])
-    at, row, (inside, towards) = t, x, piece.margins(seen)
-    for _ in range(6):
-        g, rate = float(inside[0, i]), float(towards[0, i])
-        new = at - g / rate if rate else np.nan
-        if new == at or not ends[0] < new <= min(2 * t - ends[0], piece.times[k + 1]):
-            break
-        on_cubic = cubics(ends, states, slopes, (new - ends[:1]) / (t - ends[0]))[0, 0]
-        found = piece.watched(np.array([new]), on_cubic[None], z[None])
-        inside, towards = piece.margins(found)
-        if not (abs(inside[0, i]) < abs(g) and towards[0, i] < 0):
-            break  # rounding, or the cubic is not the motion
-        at, row, seen = new, on_cubic, found
-    return at, row, z, seen

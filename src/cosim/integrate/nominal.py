@@ -222,7 +222,8 @@ def scaled_call(
     elif problem.shares:  # equations of very different scales would lose digits in linear solutions
         least = solver.tolerance.pair[1] * min(problem.shares)
         solver = replace(solver, absolute_tolerance=least)
-    problem = replace(problem, shares=())
+    if problem.shares:
+        problem = replace(problem, shares=())
     engine, sizes, more = _scaled_engine(problem, solver, nominal)
     x, z = sizes.columns
     p = np.concatenate((p, more, span))
@@ -270,7 +271,8 @@ def in_own_time(
         longest = problem.longest(solver.max_step)
         if longest is not None:
             longest = share(longest, 0) if longest < length else None
-        solver = replace(solver, max_step=longest)
+        if longest != solver.max_step:
+            solver = replace(solver, max_step=longest)
     return replace(problem, times=shares.tobytes(), in_own_time=True), solver, (begin, length)
 
 

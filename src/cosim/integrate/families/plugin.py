@@ -1,6 +1,7 @@
 """Engines that call an integrator plugin of CasADi, for compiled or interpreted equations."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -32,20 +33,9 @@ def plugin_engine(
         options: Options of the plugin; steps in s.
         names: Keys of steps, right-hand sides and Jacobians in the plugin's statistics.
     """
-    dae, grid, inputs = problem.dae, problem.grid, problem.inputs
-    large = is_large(dae) and not problem.sensitivities
+    grid = problem.grid
     unit = _time_unit(grid)
-    if problem.compiled or inputs is not None or large or unit != 1 or problem.in_own_time:
-        function = _equations(dae, problem.compiled, problem.sensitivities)
-        t, x, z, u, p = symbols = symbols_of(function)
-        clock = MX.sym("clock", 2 if problem.in_own_time else 0)
-        begin, length = ca.vertsplit(clock) if problem.in_own_time else (MX(1, 1), unit)
-        time = begin + length * t
-        ode, alg = function(time, x, z, inputs_at(dae, inputs, time, u), p)
-        system: dict[str, Any] = dict(zip(CALL, symbols, strict=True))
-        system |= {"p": ca.vertcat(p, clock), "ode": length * ode, "alg": alg}
-    else:
-        system = dae.casadi
+    system = _system(replace(problem, times=b""), unit)
     options = dict(options)
     longest = problem.longest(options.get("max_step_size"))
     if longest is not None:
@@ -62,6 +52,28 @@ def plugin_engine(
 
     functions, repeat = EngineFunctions(run), "control_group_size" not in options
     return Engine(lambda: functions, len(grid), repeat, counts, time_unit=unit)
+
+
+@cached_per_thread(16)
+def _system(problem: Problem, unit: float) -> Mapping[str, Any]:
+    """Return the equations of a problem, whose times do not matter, for CasADi's integrators.
+
+    Args:
+        problem: The problem.
+        unit: The unit of time, s.
+    """
+    dae, inputs = problem.dae, problem.inputs
+    large = is_large(dae) and not problem.sensitivities
+    if not (problem.compiled or inputs is not None or large or unit != 1 or problem.in_own_time):
+        return dae.casadi
+    function = _equations(dae, problem.compiled, problem.sensitivities)
+    t, x, z, u, p = symbols = symbols_of(function)
+    clock = MX.sym("clock", 2 if problem.in_own_time else 0)
+    begin, length = ca.vertsplit(clock) if problem.in_own_time else (MX(1, 1), unit)
+    time = begin + length * t
+    ode, alg = function(time, x, z, inputs_at(dae, inputs, time, u), p)
+    given = dict(zip(CALL, symbols, strict=True))
+    return given | {"p": ca.vertcat(p, clock), "ode": length * ode, "alg": alg}
 
 
 def _time_unit(grid: Vector) -> float:
