@@ -1,10 +1,10 @@
-"""Cost of sessions: a step, a saved state, a Kalman filter, against FMPy's own loops.
+"""Cost of sessions: a step, a saved state, a Kalman filter, against FMPy's own loops and heyoka.
 
 Prints medians for the bicycle: 10 ms with one input and two outputs from Python through a session,
-through FMPy's objects, and the time of the C function alone; save and restore; a step of the filter
-of `examples/filter_roll.py`, of the same filter over FMPy's objects, and of one that calls
-`fmpy.simulate_fmu` for each prediction and for its differences; copies in lanes, against
-`simulate_many`.
+through FMPy's objects, by heyoka's stepper, and the time of the C function alone; save and restore,
+and the C functions in them; a step of the filter of `examples/filter_roll.py`, of the same filter
+over FMPy's objects, and of one that calls `fmpy.simulate_fmu` for each prediction and for its
+differences; copies in lanes, against `simulate_many`. Rows that are compared are interleaved.
 """
 
 import statistics
@@ -18,23 +18,44 @@ import numpy as np
 from fmpy.fmi3 import FMU3Slave
 
 import cosim
+from cosim.integrate.integrator import start_vectors
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 from filter_roll import DISTURBED, NAMES, NOISE, START, STEP, filtered
 
 OUTPUTS = ("phi", "delta")
+TOLERANCE = 1e-9  # of the FMU for co-simulation
 
 
-def median(call, repeats=2000, *, before=None) -> float:
-    """Return the median time of a call, us."""
-    times = []
-    for _ in range(repeats):
-        if before is not None:
-            before()
-        began = perf_counter()
-        call()
-        times.append(perf_counter() - began)
-    return 1e6 * statistics.median(times)
+def nothing() -> None:
+    """Do nothing: what the clock itself costs."""
+
+
+def medians(calls, repeats: int, *, before=None) -> dict[str, float]:
+    """Return the median time of each call, us, without that of the clock.
+
+    Args:
+        calls: By name, interleaved in rounds of ten, as machines change their speed.
+        repeats: Of each.
+        before: What is done before a call, and not timed, by name.
+    """
+    calls, before = {**calls, "": nothing}, before or {}
+    times = {name: [] for name in calls}
+    for _ in range(max(repeats // 10, 1)):
+        for name, call in calls.items():
+            for _ in range(10):
+                before.get(name, nothing)()
+                began = perf_counter()
+                call()
+                times[name].append(perf_counter() - began)
+    found = {name: 1e6 * statistics.median(each) for name, each in times.items()}
+    return {name: value - found[""] for name, value in found.items() if name}
+
+
+def shown(found: dict[str, float]) -> None:
+    """Print times, us."""
+    for name, value in found.items():
+        print(f"{name:44}{value:10.2f} us")
 
 
 class OverFmpy:
@@ -55,7 +76,7 @@ class OverFmpy:
         self.begin({})
 
     def begin(self, start: dict[str, float]) -> None:
-        self.fmu.enterInitializationMode(startTime=0.0, tolerance=1e-9)
+        self.fmu.enterInitializationMode(startTime=0.0, tolerance=TOLERANCE)
         self.fmu.setFloat64([self.known[name] for name in start], [*start.values()])
         self.fmu.exitInitializationMode()
         self.time, self.torque = 0.0, 0.3
@@ -139,63 +160,110 @@ def copies(count: int, rounds: int) -> None:
         print(f"{count} copies: {name:24}{1e3 * statistics.median(times):8.2f} ms")
 
 
+def heyoka_step(dae):
+    """Return a step of heyoka's with an alternating torque; None where it is not installed."""
+    sys.path.append(str(Path(__file__).parent / "peers"))
+    try:
+        import with_heyoka
+    except ImportError as missing:
+        print(f"heyoka is not measured: {missing}; pip install 'cosim-rigid[benchmarks]'")
+        return None
+    start, names = start_vectors(dae), [v.name for v in dae.states]
+    places = [names.index(name) for name in OUTPUTS]
+    x0, p = (np.array(start[name]).ravel() for name in ("x0", "p"))
+    advance = with_heyoka.stepper(dae, x0, p, places, tolerance=TOLERANCE, step=STEP)
+    torque = 0.3
+
+    def step() -> list[float]:
+        nonlocal torque
+        torque = -torque
+        return advance([torque, 0.0, 0.0])
+
+    return step
+
+
+def steps_and_states(bike, other: OverFmpy, samples: int) -> None:
+    """Print what a step costs, and save and restore, with what the C functions cost in them."""
+    torque = 0.3
+
+    def step() -> None:
+        nonlocal torque
+        torque = -torque  # which keeps the bicycle upright
+        bike.set(steer_torque=torque)
+        bike.advance(STEP)
+        bike.get(OUTPUTS)
+
+    calls = bike._calls  # the C function alone, after an input is set
+
+    def ready() -> None:
+        step()
+        bike.set(steer_torque=-torque)
+        calls._time.value, calls._length.value = bike.time, STEP
+
+    def alone() -> None:
+        calls._do_step(*calls._arguments)
+
+    rows = {"solver, 10 ms": alone, "session: set, advance, get": step}
+    rows["FMPy: setFloat64, doStep, getFloat64"] = other.step
+    if taylor := heyoka_step(cosim.load("bicycle")):
+        rows["heyoka: set, step, read"] = taylor
+    step()
+    saved = bike.save()
+
+    def back() -> None:
+        bike.restore(saved)
+
+    before = {"solver, 10 ms": lambda: (back(), ready()), "session: set, advance, get": back}
+    shown(medians(rows, samples, before=before))
+    back()
+    states = bike._states
+    version = calls.function("GetVersion")
+    instance, place, content = states._instance, states._at_state, saved
+    rows = {
+        "session: save": bike.save,
+        "session: restore": back,
+        "fmi3GetFMUState alone, by ctypes": lambda: states._take[0](instance, place),
+        "fmi3SetFMUState alone, by ctypes": lambda: states._put[0](instance, content),
+        "a call by ctypes that does nothing": version,
+    }
+    shown(medians(rows, samples))
+
+
+def filters(bike, other: OverFmpy, path: Path, samples: int) -> None:
+    """Print what a step of the Kalman filter costs."""
+    truth = cosim.simulate("bicycle", start_values=START, stop_time=2.0, outputs=NAMES)
+    measured = truth["phi"] + np.random.default_rng(1).normal(0.0, NOISE, len(truth))
+    ways = {
+        "session: a step of the filter": lambda: filtered(measured, bike)[0],
+        "FMPy's objects: a step of the filter": lambda: other.filtered(measured),
+    }
+    results, times = {}, {name: [] for name in ways}
+    for _ in range(1 + samples // 100):
+        for name, run in ways.items():
+            began = perf_counter()
+            results[name] = run()
+            times[name].append(1e6 * (perf_counter() - began) / len(measured))
+    shown({name: statistics.median(each) for name, each in times.items()})
+    one, another = results.values()
+    print(f"largest difference: {np.abs(one - another).max():.1e}")
+    unpacked = fmpy.extract(path)
+    for name, file in (("file", path), ("folder", unpacked)):
+        began = perf_counter()
+        found = filtered_by_runs(file, measured[:10])
+        each = 1e6 * (perf_counter() - began) / len(found)
+        shown({f"fmpy.simulate_fmu of the {name}: a step": each})
+    print(f"largest difference: {np.abs(one[:10] - found).max():.1e}")
+
+
 def main(samples: int) -> None:
     copies(1000 if samples > 1000 else 50, 9 if samples > 1000 else 2)
-    with cosim.open("bicycle") as bike:
-
-        def step() -> None:
-            nonlocal torque
-            torque = -torque  # which keeps the bicycle upright
-            bike.set(steer_torque=torque)
-            bike.advance(STEP)
-            bike.get(OUTPUTS)
-
-        calls = bike._calls  # the C function alone, after an input is set
-
-        def ready() -> None:
-            bike.restore(saved)
-            step()
-            bike.set(steer_torque=-torque)
-            calls._time.value, calls._length.value = bike.time, STEP
-
-        torque = 0.3
-        step()
-        saved = bike.save()
-        alone = median(lambda: calls._do_step(*calls._arguments), samples, before=ready)
+    with cosim.open("bicycle") as bike, tempfile.TemporaryDirectory() as folder:
+        path = cosim.export_fmu(cosim.load("bicycle"), Path(folder) / "bike.fmu", fmi=3)
+        other = OverFmpy(path)
+        steps_and_states(bike, other, samples)
         bike.reset()
-        print(f"solver, 10 ms                       {alone:8.2f} us")
-        print(f"session: set, advance, get          {median(step, samples):8.2f} us")
-        bike.reset()
-        saved = bike.save()
-        print(f"session: save                       {median(bike.save, samples):8.2f} us")
-        print(f"session: restore                    {median(lambda: bike.restore(saved)):8.2f} us")
-        with tempfile.TemporaryDirectory() as folder:
-            path = cosim.export_fmu(cosim.load("bicycle"), Path(folder) / "bike.fmu", fmi=3)
-            other = OverFmpy(path)
-            print(f"FMPy: setFloat64, doStep, getFloat64{median(other.step, samples):8.2f} us")
-            other.fmu.reset()
-            truth = cosim.simulate("bicycle", start_values=START, stop_time=2.0, outputs=NAMES)
-            measured = truth["phi"] + np.random.default_rng(1).normal(0.0, NOISE, len(truth))
-            filters = {
-                "session": lambda: filtered(measured, bike)[0],
-                "FMPy": lambda: other.filtered(measured),
-            }
-            results, times = {}, {name: [] for name in filters}
-            for _ in range(1 + samples // 100):  # side by side: machines change their speed
-                for name, run in filters.items():
-                    began = perf_counter()
-                    results[name] = run()
-                    times[name].append(1e6 * (perf_counter() - began) / len(measured))
-            for name, each in times.items():
-                print(f"{name + ': a step of the filter':36}{min(each):8.2f} us")
-            print(f"largest difference: {np.abs(results['session'] - results['FMPy']).max():.1e}")
-            unpacked = fmpy.extract(path)
-            for name, file in (("file", path), ("folder", unpacked)):
-                began = perf_counter()
-                found = filtered_by_runs(file, measured[:10])
-                each = 1e6 * (perf_counter() - began) / len(found)
-                print(f"{f'simulate_fmu, {name}: a step':36}{each:8.2f} us")
-            print(f"largest difference: {np.abs(results['session'][:10] - found).max():.1e}")
+        other.fmu.reset()
+        filters(bike, other, path, samples)
 
 
 if __name__ == "__main__":

@@ -44,6 +44,36 @@ def evaluations(problem: Problem) -> Iterator[Evaluation]:
     yield Evaluation("heyoka cfunc", lambda: function(one, outputs=result), one=True)
 
 
+def stepper(
+    dae: Dae, x0: np.ndarray, p: np.ndarray, shown: list[int], *, tolerance: float, step: float
+) -> Callable[[list[float]], list[float]]:
+    """Return what sets all inputs, advances by a step, s, and returns some states, by position.
+
+    Args:
+        dae: An explicit model.
+        x0, p: Start and parameters, (nx,) and (np,).
+        shown: Positions of the states.
+        tolerance: Of the integration.
+        step: s.
+    """
+    law = ca.densify(ca.substitute(dae.ode, dae.p, ca.DM(p)))
+    function = ca.Function("f", [dae.t, ca.vertcat(dae.x, dae.u)], [law], {"cse": True})
+    rhs = walk.build(function, "rhs", {name: getattr(hy, name) for name in walk.FUNCTIONS})
+    variables = hy.make_vars(*(f"x{i}" for i in range(len(x0))))
+    inputs = [hy.par[i] for i in range(len(dae.inputs))]
+    results = [hy.expression(0.0) + result for result in rhs(hy.time, [*variables, *inputs])]
+    system = list(zip(variables, results, strict=True))
+    solver = hy.taylor_adaptive(system, x0, tol=tolerance, compact_mode=False)
+    state, pars = solver.state, solver.pars
+
+    def advance(values: list[float]) -> list[float]:
+        pars[:] = values
+        solver.propagate_for(step)
+        return [state[i] for i in shown]
+
+    return advance
+
+
 def final_derivatives(
     dae: Dae, x0: np.ndarray, p: np.ndarray, slopes: np.ndarray, span: float
 ) -> Callable[[float], Run]:

@@ -155,6 +155,7 @@ static Status set_values(Instance *self, const Reference references[], size_t co
         self->state.values[references[i]] = values[i];
         self->state.stale |= dependents(self);
     }
+    reset_algebraics(self);
     if (!retuned) return OK;
     self->state.retuned = true;
     renew_constants(self);

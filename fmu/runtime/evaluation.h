@@ -127,6 +127,17 @@ static Hint limit_hint(Instance *self) {
     return nearest_limit(self, margins);
 }
 
+/* Between communication steps, solutions begin at the end of the last step, whatever has been read
+   since: reading results changes none that follow. */
+static void keep_algebraics(Instance *self) {
+    memcpy(self->state.reached, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof(double));
+}
+
+static void reset_algebraics(Instance *self) {
+    if (self->state.mode == STEP_MODE && self->state.stale & ALGEBRAICS)
+        memcpy(self->state.values + FIRST_ALGEBRAIC, self->state.reached, NZ * sizeof(double));
+}
+
 /* Algebraic unknowns; the last solution is the guess, and stays where there is no new one. */
 static Status solve_algebraics(Instance *self) {
     const Status status = follow_present(self);
@@ -161,7 +172,9 @@ static Status compute_outputs(Instance *self) {
     const Status status =
         compute(self, model_outputs, self->state.values + FIRST_OUTPUT, "outputs");
     if (status != OK) return status;
-    note_margins(self, margins);
+    /* inputs that are read between steps need not be those of a motion */
+    const bool beside = self->state.mode == STEP_MODE && self->state.steps > 0 && !self->stepping;
+    if (!beside) note_margins(self, margins);
     if (N_WATCHED == 0) return OK;
     return get_insides(self, self->state.values + FIRST_OUTPUT + NY - N_WATCHED);
 }

@@ -42,6 +42,7 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
     if (!allowed(self, IN_ENTER_STEP_MODE, __func__)) return fmi3Error;
     if (self->host.ask_inputs) forget_motion(self);
     leave_instant(self);
+    keep_algebraics(self);
     self->state.mode = STEP_MODE;
     return fmi3OK;
 }

@@ -40,7 +40,9 @@ static Status finish_initialization(Instance *self) {
     self->state.mode = events ? EVENT_MODE : STEP_MODE;
     if (self->state.interface == INTERFACE_ME) return OK;
     Outcome outcome; /* what happens at the start */
-    return handle_instant(self, -1, &outcome);
+    const Status status = handle_instant(self, -1, &outcome);
+    keep_algebraics(self);
+    return status;
 }
 
 #endif

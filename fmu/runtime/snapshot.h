@@ -15,7 +15,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 15 };
+enum { LAYOUT_VERSION = 16 };
 
 typedef struct {
     uint64_t magic;
@@ -44,19 +44,22 @@ static inline uint64_t mixed(uint64_t sum, uint64_t word) {
     return sum ^ sum >> 32;
 }
 
-/* Two sums, which do not wait for each other: every change of a single word changes the result. */
+/* Four sums, which do not wait for each other: every change of a single word changes the result. */
 static uint64_t hash(const void *data, size_t size) {
     enum { WORD = sizeof(uint64_t) };
     const unsigned char *bytes = data;
-    unsigned char rest[2 * WORD] = {0};
-    uint64_t even = UINT64_C(14695981039346656037), odd = even;
+    unsigned char rest[4 * WORD] = {0};
+    uint64_t a = UINT64_C(14695981039346656037), b = a, c = a, d = a;
     const size_t whole = size - size % sizeof rest;
-    for (size_t i = 0; i < whole; i += sizeof rest) {
-        even = mixed(even, word_at(bytes + i));
-        odd = mixed(odd, word_at(bytes + i + WORD));
+    for (size_t i = 0; i <= whole; i += sizeof rest) {
+        const unsigned char *next = i < whole ? bytes + i : rest;
+        if (i == whole) memcpy(rest, bytes + whole, size - whole);
+        a = mixed(a, word_at(next));
+        b = mixed(b, word_at(next + WORD));
+        c = mixed(c, word_at(next + 2 * WORD));
+        d = mixed(d, word_at(next + 3 * WORD));
     }
-    memcpy(rest, bytes + whole, size - whole);
-    return mixed(mixed(even, word_at(rest)), mixed(odd, word_at(rest + WORD)));
+    return mixed(mixed(mixed(a, b), c), d);
 }
 
 static Header header_of(const Instance *self, const State *state) {
@@ -103,7 +106,7 @@ static bool plausible(const Instance *self, const State *state) {
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
     if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
     if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
-    if (!all_finite(state->left, N_LIMITS)) return false;
+    if (!all_finite(state->left, N_LIMITS) || !all_finite(state->reached, NZ)) return false;
     if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
 #if HAS_RANK
     if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;

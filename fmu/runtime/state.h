@@ -119,6 +119,7 @@ typedef struct {
     /* derivatives of the inputs by time, from the first on, within the communication step */
     double motion[MOST_INPUT_ORDER][ROOM(NU)];
     double guesses[ROOM(NX)]; /* where the solution of calculated start values begins */
+    double reached[ROOM(NZ)]; /* algebraic unknowns at the end of the last communication step */
     SolverMemory memory;
 #if HAS_RANK
     Watch watch;
@@ -176,6 +177,7 @@ struct Instance {
     Host host;
     const char *name;
     const char *function; /* the FMI function that runs, for messages */
+    bool stepping;        /* within a communication step */
     uint32_t categories;  /* log categories that are on, a bit each */
     double *jacobian;     /* of dx, then of z, with respect to x and u; columns */
     const double **arg;   /* work space of the equations */

@@ -41,20 +41,23 @@ static Status do_step(Instance *self, double from, double length) {
 
     drop_spent_motion(self);
     leave_sides(self);
+    reset_algebraics(self);
     const State before = self->state;
     self->state.stale &= ~(uint32_t)SIDES;
     self->state.steps++;
     const bool asks = self->host.ask_inputs != NULL;
+    self->stepping = true;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
     /* modes that slide follow from it, also at the end */
     if (asks && !event_waits(self) && !is_sliding_now(self)) forget_motion(self);
-    if (self->state.mode != STEP_MODE) return ERROR; /* by the importer's callback, or an event */
+    self->stepping = self->state.mode == STEP_MODE;
+    if (!self->stepping) return ERROR; /* by the importer's callback, or an event */
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;
-    if (done) {
-        note_limits(self);
-        return OK;
-    }
+    keep_algebraics(self);
+    if (done) note_limits(self);
+    self->stepping = false;
+    if (done) return OK;
     const bool stopped = run_stopped(self);
     if (stopped && self->host.fmi_version == 3) return OK;
     if (stopped) {

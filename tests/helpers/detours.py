@@ -1,13 +1,22 @@
 """Random sequences of what a session can do, against one that goes straight on."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
 
 import cosim
 
-SHARES = {"advance": 12, "again": 1, "save": 3, "restore": 3, "copy": 1, "reset": 0.5, "wrong": 2}
+SHARES = {
+    "advance": 12,
+    "again": 1,
+    "save": 3,
+    "restore": 3,
+    "copy": 1,
+    "reset": 0.5,
+    "wrong": 2,
+    "linear": 1,
+}
 WRONG = [
     lambda s: s.advance(-1.0),
     lambda s: s.advance(to=-1.0),
@@ -71,6 +80,9 @@ def detour(session, push, expected, choose, *, step=None, moves=150, copies=True
             elif what == "wrong":
                 with pytest.raises(cosim.CosimError):
                     choose.choice(WRONG)(session)
+            elif what == "linear":
+                with suppress(cosim.CosimError):  # rejected at corners and with samples
+                    session.linearize()
             time, values, _ = expected[place]
             assert session.time == time
             if choose.random() < 0.7:

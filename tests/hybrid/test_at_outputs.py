@@ -118,7 +118,8 @@ def test_a_slow_state_does_so_in_an_fmu(fmi, interface):
 
 # errors of others pass it, and so do those of dop853 where stability limits its steps
 @pytest.mark.parametrize(
-    ("solver", "steps"), [("dop853", {"max_step": 0.1}), ("rk4", {}), ("ode8", {})]
+    ("solver", "steps"),
+    [("dop853", {"max_step": 0.1}), ("rk4", {}), ("ode8", {"step_size": 0.1})],
 )
 @pytest.mark.parametrize("rate", [17.75, 20.0])
 def test_what_comes_to_rest_at_a_boundary_never_reaches_it(solver, steps, rate):

@@ -76,6 +76,42 @@ def test_detours_of_a_foreign_fmu_change_no_bit(tmp_path):
 # -- exact values -------------------------------------------------------------------------------
 
 
+def test_reading_beside_the_run_does_not_lead_to_another_solution():
+    """x' = z, where z^3 - 3 z + u = 0 has the solution sqrt(3) at u = 0, and -sqrt(3)."""
+    model = Model("fold", stop_time=5.0)
+    x, z = model.state("x", "1", 0.0, "x"), model.algebraic("z", "1", np.sqrt(3), "z")
+    model.derivative(x, z)
+    model.equation(z**3 - 3 * z + model.input("u", "1", 0.0, "u"))
+    with cosim.open(model.freeze()) as fold:
+        fold.advance(0.1)
+        fold.set(u=2.5)
+        assert fold["z"] < -2  # the only solution there
+        fold.set(u=0.0)
+        fold.advance(0.1)
+        assert fold["x"] == pytest.approx(0.2 * np.sqrt(3), rel=1e-12)  # before: 0
+
+
+def test_values_read_beside_the_run_violate_nothing():
+    model = Model("narrow", stop_time=5.0)
+    x, u = model.state("x", "1", 1.0, "x"), model.input("u", "1", 0.0, "u")
+    model.derivative(x, -x)
+    model.output("sum", "1", x + u, "sum")
+    model.limit(x + u < 1.5, "the sum is below 1.5")
+    with cosim.open(model.freeze()) as session, cosim.open(model.freeze()) as straight:
+        for one in (session, straight):
+            one.advance(0.1)
+        session.set(u=3.0)
+        assert session["sum"] > 3
+        session.set(u=0.0)
+        for one in (session, straight):
+            one.advance(0.1)
+        assert session.invalid is None  # before: from 0.1 s, with an input that no step had
+        assert session.save() == straight.save()
+        session.set(u=3.0)
+        session.advance(0.1)
+        assert session.invalid.startswith("invalid from 0.2 s")
+
+
 def test_decay_meets_its_closed_form(session):
     session.set(force=1.0)
     session.advance(to=1.0)
@@ -444,3 +480,24 @@ def test_system_of_models_is_one_model_also_from_a_file(tmp_path):
         assert session["a.omega"] == pytest.approx(20.0, abs=1e-9)
     with pytest.raises(UsageError, match="macro_step is for systems with FMUs as parts"):
         cosim.open(toml, macro_step=0.01)
+
+
+def test_elements_of_arrays_are_inputs_outputs_and_states(tmp_path):
+    """x' = u + A x with A[1,2] = 2 and u = (0, 1) from (0, 1): x = (2 t + t^2, 1 + t)."""
+    path = typed_part(tmp_path)
+    start = {"A[1,2]": 2.0, "x[2]": 1.0}
+    with cosim.open(path, start_values=start) as session:
+        assert session.inputs[:2] == ("u[1]", "u[2]")
+        assert session.outputs[:2] == ("y[1]", "y[2]")
+        assert session.states == ("x[1]", "x[2]")
+        session.set({"u[2]": 5.0, "u[1]": 0.0})
+        session.set({"u[2]": 1.0})
+        session.advance(1.0)
+        found = session.get(["y[2]", "y[1]", "u[2]", "u[1]", "A[1,2]"])
+        np.testing.assert_allclose(found, [2, 3, 1, 0, 2], rtol=1e-7)
+        session.set({"u[1]": 7.0})
+        assert session.get(["u[1]", "u[2]"]).tolist() == [7, 1]
+        with pytest.raises(UsageError, match="n gives sizes of arrays"):
+            session.reset({"n": 3})
+        session.reset()
+        assert session.get(["x[1]", "x[2]"]).tolist() == [0, 1]

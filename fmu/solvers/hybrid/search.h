@@ -117,6 +117,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
     const double *slack = s->slack;
     Bounds bounds = {begin, end, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
+    bool rises = false;         /* a margin that does so is no end of a mode */
     int beyond = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
         const double t = crossing->time;
@@ -125,6 +126,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         const int i = crossing->relation = first_at(&place, slack, crossing->relation);
         const double speed = fabs(place.rates[i]);
         left = place.inside[i] - slack[i];
+        rises = place.rates[i] > 0;
         const double most = slack[i] + rounding_of_time(&place, i);
         ahead = fmax(most, slack[i] + located(s) * time_scale(s, t) * speed);
         const double longest = fmin(t - begin, SAME_TIME * fabs(t));
@@ -138,7 +140,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }
-    return left <= ahead ? CROSSES : TOUCHES;
+    return left <= ahead && !rises ? CROSSES : TOUCHES;
 }
 
 /* A place after a touch at which every relation is within its mode again; false if none is. */

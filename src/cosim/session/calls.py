@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.errors import FmuError
+from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.c_structures import c_type
 from cosim.fmi.run.description import is_second
 from cosim.fmi.run.instance import getter_name
@@ -34,19 +35,23 @@ class Group:
 
     Attributes:
         get, set: Functions without arguments that return the status.
-        buffer: The values, (n,), which both functions use.
+        getter: Name of the C function behind `get`.
+        buffer: The values, which both functions use: arrays of FMI 3 as a whole.
+        places: Of the variables, in the buffer.
+        is_plain: Whether the buffer has their values and no others, in their order.
         columns: Places of the variables in the list that the user gave.
     """
 
     def __init__(self, calls: "PreparedCalls", kind: str, variables: Sequence[Any]) -> None:
-        n = len(variables)
-        second = calls.second
-        self._references = (ctypes.c_uint32 * n)(*(v.valueReference for v in variables))
-        self._values = (c_type(kind, second) * n)()
-        self.buffer = np.frombuffer(self._values, dtype=np.dtype(self._values._type_))
-        size = _SIZE(n)
-        arguments = [calls.instance, self._references, size, self._values]
-        arguments += [] if second else [size]
+        layout, second = Layout.of(variables), calls.second
+        references = (ctypes.c_uint32 * len(layout.references))(*layout.references)
+        values = (c_type(kind, second) * layout.values)()
+        self.buffer = np.frombuffer(values, dtype=np.dtype(values._type_))
+        self.places = layout.places
+        self.is_plain = layout.places == list(range(layout.values))
+        arguments = [calls.instance, references, _SIZE(len(references)), values]
+        arguments += [] if second else [_SIZE(layout.values)]
+        self.getter = f"fmi{2 if second else 3}Get{kind}"
         self._get = calls.function(f"Get{kind}")
         self._set = calls.function(f"Set{kind}")
         self._arguments = arguments
@@ -201,12 +206,17 @@ class StateCalls:
             self._is_block = True
         return self._room.raw
 
-    def restore(self, content: bytes) -> bool:
-        """Set the state that bytes describe; return whether an FMU exported here accepts them."""
+    def restore(self, content: bytes, size: int) -> bool:
+        """Set a state; return whether an FMU exported here accepts it.
+
+        Args:
+            content: Begins with what `save` has returned.
+            size: Length of it.
+        """
         if self._is_block:
-            same_length = len(content) == len(self._room)
+            same_length = size == len(self._room)
             return same_length and self._put[0](self._instance, content) <= WARNING
-        self._length.value = len(content)
+        self._length.value = size
         status = self._read[0](self._instance, content, self._length, self._read_place)
         if status > WARNING and self._is_own:
             return False

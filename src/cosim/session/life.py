@@ -22,6 +22,9 @@ class Phase(StrEnum):
     CLOSED = "closed"
 
 
+RUNNING = Phase.RUNNING  # each use of a member by its class takes 60 ns
+
+
 class Life:
     """A model that stays alive until it is closed.
 

@@ -63,6 +63,10 @@ class Linearizer:
         inputs = inputs_of(description)
         chosen = None if outputs is None else listed(f"{name}: linearize", outputs)
         self.outputs = tuple(output_names(name, variables, chosen))
+        if any(v.dimensions for v in description.modelVariables):
+            raise FmuError(
+                f"{name} has arrays, whose derivatives are not read; linearize its model"
+            )
         for v in inputs:
             if v.type not in ("Real", "Float64"):
                 raise UsageError(f"{name}: the input {v.name} is no real number")

@@ -11,6 +11,7 @@ from casadi_models.dae import Dae
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import Interface, choose_interface, read_description
 from cosim.fmi.run.instance import instantiated
 from cosim.fmi.trust import is_made_here
@@ -37,7 +38,7 @@ class OpenedFile:
         self.name = name or str(path)
         with ExitStack() as opening:
             self._folder = opening.enter_context(unpacked(path))
-            self.description = read_description(self._folder, path)
+            self.description = with_elements(read_description(self._folder, path))
             if self.description.modelExchange and not self.description.coSimulation:
                 raise FmuError(
                     f"{self.name} is for model exchange only; the solver of a system integrates "

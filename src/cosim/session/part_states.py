@@ -57,7 +57,7 @@ class PartStates:
         for calls, part in zip(self._calls, self._parts.values(), strict=True):
             numbers, state = next(pieces), next(pieces)
             with explained(self._system, part):
-                if not calls.restore(state) or (
+                if not calls.restore(state, len(state)) or (
                     part.solver and not part.solver.go_on_with(numbers)
                 ):
                     raise FmuError("it rejects the saved state")

@@ -1,4 +1,4 @@
-"""The bytes of a saved session: checksum, format, owner, clock, notes, and the state of the FMU."""
+"""The bytes of a saved session: state of the FMU, notes, format, owner, clock, and checksum."""
 
 import json
 import struct
@@ -9,11 +9,10 @@ from typing import Any
 from cosim.errors import UsageError
 from cosim.text import Violation
 
-_SUM = struct.Struct("<Q")
 # format, owner, clock, number of a state in this process, length of the notes
 _HEAD = struct.Struct("<8s16s3d3q")
-_BEGIN = _SUM.size + _HEAD.size
-_FORMAT = b"session3"
+_SUM = 4  # bytes of the checksum
+_FORMAT = b"session4"
 
 ClockFacts = tuple[float, float, float, int]
 
@@ -48,30 +47,33 @@ def packed(
         state: Written by the FMU.
         has_sum: Whether the state has a checksum of its own, which the FMU verifies.
     """
-    head = _HEAD.pack(_FORMAT, owner, *clock, number, len(notes)) + notes
-    return _SUM.pack(zlib.crc32(head if has_sum else head + state)) + head + state
+    head = notes + _HEAD.pack(_FORMAT, owner, *clock, number, len(notes))
+    checked = head if has_sum else state + head
+    return state + (head + zlib.crc32(checked).to_bytes(_SUM, "little"))
 
 
 def unpacked(
     session: str, saved: bytes, *, has_sum: bool
-) -> tuple[bytes, ClockFacts, int, bytes, bytes]:
-    """Return owner, clock, number, notes and state.
+) -> tuple[bytes, ClockFacts, int, bytes, int]:
+    """Return owner, clock, number, notes, and the length of the state, which comes first.
 
     Raises:
         UsageError: The bytes are no saved session, or damaged.
     """
     if type(saved) is not bytes:
         UsageError.reject(f"{session}: restore", saved, bytes, "what save has returned")
-    if len(saved) < _BEGIN:
+    end = len(saved) - _SUM
+    place = end - _HEAD.size
+    if place < 0:
         raise damaged(session)
-    form, owner, now, first, length, count, number, size = _HEAD.unpack_from(saved, _SUM.size)
-    begin = _BEGIN + size
-    same_sum = _SUM.unpack_from(saved)[0] == zlib.crc32(
-        saved[_SUM.size : begin] if has_sum else saved[_SUM.size :]
-    )
-    if form != _FORMAT or not same_sum:
+    form, owner, now, first, length, count, number, size = _HEAD.unpack_from(saved, place)
+    begin = place - size
+    if form != _FORMAT or not 0 <= begin <= place:
         raise damaged(session)
-    return owner, (now, first, length, count), number, saved[_BEGIN:begin], saved[begin:]
+    checked = saved[begin if has_sum else 0 : end]
+    if saved[end:] != zlib.crc32(checked).to_bytes(_SUM, "little"):
+        raise damaged(session)
+    return owner, (now, first, length, count), number, saved[begin:place], begin
 
 
 def damaged(session: str) -> UsageError:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from casadi_models.dae import Dae, Start
 from cosim.arrays import Vector
 from cosim.errors import FmuError, UsageError, naming_arguments
+from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.description import by_name
 from cosim.fmi.run.instance import initialize, why_it_ended
 from cosim.fmi.run.request import checked_values, lost_state, output_names
@@ -19,7 +20,7 @@ from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
 from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_states
 from cosim.session.clock import Clock
-from cosim.session.life import Life, Phase
+from cosim.session.life import RUNNING, Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
 from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
@@ -66,7 +67,10 @@ class Session(Life):
         if dae is not None and {*found} == {*dae.observed}:
             found = [*dae.observed]  # as in runs and copies; a file lists the states first
         self.outputs = tuple(found)
-        self.states = tuple(item.variable.derivative.name for item in description.derivatives)
+        rates = [item.variable for item in description.derivatives]
+        every = description.modelVariables
+        single: list[Any] = [v for rate in rates for v in elements_of(rate, every) or [rate]]
+        self.states = tuple(v.derivative.name for v in single)
         self._serializes = bool(description.coSimulation.canSerializeFMUstate)
         self._owner = self.identity() if self._serializes else uuid.uuid4().bytes
         self._used = False
@@ -178,7 +182,7 @@ class Session(Life):
             FmuError: The model failed, ended the run before, or is closed. After a failure,
                 only `restore` and `reset` are possible.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         clock = self._clock
         time = clock.now
@@ -229,7 +233,7 @@ class Session(Life):
             FmuError: The model rejects a value, and nothing is set; or it has ended or failed, or
                 is closed.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         self._values.set(values, named)
 
@@ -246,7 +250,7 @@ class Session(Life):
             UnknownName, UsageError: A variable does not exist, or is not one number.
             FmuError: A value is not finite, or the session has failed or is closed.
         """
-        if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
+        if self._phase is not RUNNING and self._phase is not Phase.ENDED:
             self._require()
         found = self._values.get(names)
         if self._lost_state is None:
@@ -273,7 +277,7 @@ class Session(Life):
         Raises:
             FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._require()
         place = 0
         content = b""
@@ -294,26 +298,26 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        clock, place, notes, content = self.checked_state(saved)
-        if self._serializes:
-            if not self._states.restore(content):
-                self._instance.log_texts.clear()
-                raise damaged(self.name)
-        else:
+        clock, place, notes, size = self.checked_state(saved)
+        if not self._serializes:
             self._states.go_back(place)
-        self._clock = Clock(*clock)
-        take_notes([self._instance], notes)
+        elif not self._states.restore(saved, size):
+            self._instance.log_texts.clear()
+            raise damaged(self.name)
+        self._clock.facts = clock
+        if notes or self._events or self._instance.violations:
+            take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
-        """Return clock, number, notes and bytes of a saved state that is one of this session.
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
+        """Return clock, number, notes and size of a saved state that is one of this session.
 
         Raises:
             UsageError, FmuError: See `restore`.
         """
-        if self._phase is not Phase.RUNNING:
+        if self._phase is not RUNNING:
             self._reject_closed()
-        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=self._file.is_own)
+        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
             what = "session, as its FMU writes no state as bytes"
             if self._serializes:
@@ -321,7 +325,7 @@ class Session(Life):
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if not self._serializes and place >= len(self._states.saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-        return clock, place, notes, content
+        return clock, place, notes, size
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
@@ -376,6 +380,12 @@ class Session(Life):
             values = plain_values(self._dae, request.values)
         elif values:
             known = self._variables
+            for name in known.keys() & values.keys():
+                if known[name].causality == "structuralParameter":
+                    raise UsageError(
+                        f"{self.name}: {name} gives sizes of arrays, which a session takes from "
+                        "the file; leave it out"
+                    )
             values = {
                 name: plain_value(self.name, self._description, known[name], value)
                 if name in known

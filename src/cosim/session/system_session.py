@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from cosim.coupling.c_structures import coupling_library
 from cosim.coupling.co_simulation import DEFAULT_ACCURACY
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.failures import failure, violations
-from cosim.coupling.opened_part import explained
+from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.coupling.own_steps import is_multiple
 from cosim.coupling.settings import Settings
 from cosim.coupling.system import System
@@ -30,6 +30,7 @@ from cosim.fmi.run.instance import access_to, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
 from cosim.model.values import listed
+from cosim.session.calls import FATAL, WARNING, PreparedCalls
 from cosim.session.clock import Clock, is_beyond
 from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
@@ -112,7 +113,7 @@ class SystemSession(Life):
         self._begun.close()
         for name in ("_states", "_saver"):
             vars(self).pop(name, None)
-        self._selections: dict[Any, list[tuple[Any, ...]]] = {}
+        self._selections: dict[Any, tuple[list[Any], Vector, Vector]] = {}
         with self._system.naming_files():
             run = self._instances.opened(settings, values, self._called, ends=self._ends)
             self._run = self._begun.enter_context(run)
@@ -250,38 +251,42 @@ class SystemSession(Life):
         if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
         chosen = self.outputs if names is None else listed(f"{self.name}: get", names)
-        groups = self._selections.get(chosen)
-        if groups is None:
-            groups = self._selection(chosen)
+        selection = self._selections.get(chosen)
+        if selection is None:
+            selection = self._selection(chosen)
             if len(self._selections) >= _LARGEST:
                 self._selections.clear()
-            self._selections[chosen] = groups
-        found = np.empty(len(chosen))
-        for part, access, columns, factors, offsets in groups:
-            with explained(self.name, part):
-                found[columns] = factors * np.array(access.get(), dtype=float) + offsets
-        return finite(self.name, chosen, found, self.time)
+            self._selections[chosen] = selection
+        groups, factors, offsets = selection
+        row = np.empty(len(chosen))
+        for part, group, columns in groups:
+            if (status := group.get()) > WARNING:
+                self._reject_status(part, group.getter, status)
+            row[columns] = group.buffer[group.places]
+        return finite(self.name, chosen, factors * row + offsets, self.time)
 
-    def _selection(self, names: tuple[str, ...]) -> list[tuple[Any, ...]]:
-        """Prepare what reads variables."""
-        by_part: dict[str, list[tuple[int, End]]] = {}
-        for column, name in enumerate(names):
-            end = self._behind(name)
-            by_part.setdefault(end.variable[0], []).append((column, end))
+    def _reject_status(self, part: OpenedPart, function: str, status: int) -> NoReturn:
+        from fmpy.fmi1 import FMICallException
+
+        part.instance.fatal.value |= status == FATAL
+        with explained(self.name, part):
+            raise FMICallException(function=function, status=status)
+
+    def _selection(self, names: tuple[str, ...]) -> tuple[list[Any], Vector, Vector]:
+        """Return what reads variables: calls of each part with their columns, factors, offsets."""
+        ends = [self._behind(name) for name in names]
+        by_part: dict[str, list[int]] = {}
+        for column, end in enumerate(ends):
+            by_part.setdefault(end.variable[0], []).append(column)
         found = []
         for name, columns in by_part.items():
             part = self._instances.parts[name]
-            variables = [self._variable(*end.variable) for _, end in columns]
-            found.append(
-                (
-                    part,
-                    access_to(variables, part.instance, part.description),
-                    [column for column, _ in columns],
-                    np.array([end.factor for _, end in columns]),
-                    np.array([end.offset for _, end in columns]),
-                )
-            )
-        return found
+            calls = PreparedCalls(part.instance, part.description)
+            variables = [self._variable(*ends[column].variable) for column in columns]
+            for group in calls.groups(variables):
+                found.append((part, group, [columns[place] for place in group.columns]))
+        factors, offsets = ([end[kind] for end in ends] for kind in (1, 2))
+        return found, np.array(factors), np.array(offsets)
 
     def _behind(self, name: str) -> End:
         """Return the variable of a part behind a name."""
@@ -326,22 +331,22 @@ class SystemSession(Life):
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
-        clock, place, notes, content = self.checked_state(saved)
+        clock, place, notes, length = self.checked_state(saved)
         self._phase = Phase.FAILED
         size, states = 8 * self._run.numbers(None), self._states
         if states.serializes:
-            states.read(content[size:])
+            states.read(saved[size:length])
         else:
             states.go_back(place)
-        self._run.numbers(np.frombuffer(content[:size]).copy(), back=True)
-        self._clock = Clock(*clock)
+        self._run.numbers(np.frombuffer(saved[:size]).copy(), back=True)
+        self._clock.facts = clock
         take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, bytes]:
-        """Return clock, number, notes and bytes of a saved state; see `Session.checked_state`."""
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
+        """Return clock, number, notes and size of a saved state; see `Session.checked_state`."""
         self._reject_closed()
-        owner, clock, place, notes, content = unpacked(self.name, saved, has_sum=False)
+        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
         for name, part in self._instances.parts.items():
@@ -354,7 +359,7 @@ class SystemSession(Life):
                 f"{self.name}: these bytes were saved by another session or system, or with "
                 "another macro_step, method, accuracy or tolerance"
             )
-        return clock, place, notes, content
+        return clock, place, notes, size
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""

@@ -60,18 +60,20 @@ class Values:
             found.append((group, value))
         before = [self._present(group) for group, _ in found] if len(found) > 1 else []
         for number, (group, plain) in enumerate(found):
-            group.buffer[0] = plain
+            if not group.is_plain:  # an element: the others stay as they are
+                self._check(group.get(), "Get")
+            group.buffer[group.places] = plain
             status = group.set()
             if status > WARNING:
                 for (earlier, _), value in zip(found[:number], before, strict=False):
-                    earlier.buffer[0] = value
+                    earlier.buffer[:] = value
                     earlier.set()
                 self._check(status, "Set")
 
-    def _present(self, group: Group) -> Any:
-        """Return the value of a variable."""
+    def _present(self, group: Group) -> Vector:
+        """Return the values of a group."""
         self._check(group.get(), "Get")
-        return group.buffer[0]
+        return group.buffer.copy()
 
     def _setter(self, name: str) -> tuple[Any, Group]:
         """Return a variable that may be set during a run, with its prepared call."""
@@ -94,7 +96,7 @@ class Values:
             groups = None
         if groups is None:
             groups = self._selection(key)
-        if len(groups) == 1:
+        if len(groups) == 1 and groups[0].is_plain:
             status = groups[0].get()
             if status > WARNING:
                 self._check(status, "Get")
@@ -102,7 +104,7 @@ class Values:
         row = np.empty(sum(len(group.columns) for group in groups))
         for group in groups:
             self._check(group.get(), "Get")
-            row[group.columns] = group.buffer
+            row[group.columns] = group.buffer[group.places]
         return row
 
     def _selection(self, names: Any) -> list[Group]:

@@ -81,6 +81,43 @@ def test_a_minimum_that_no_run_reaches_is_noted():
     assert any("the fit did not converge: the minimum is about" in note for note in found.notes)
 
 
+# Measured records of the Statistical Reference Datasets (NIST, nonlinear regression) of
+# y = b1 (1 - exp(-b2 x)): x, y, then b1, b2, their standard deviations and that of the residuals as
+# certified there, and where the fit begins
+ADSORPTION = (  # Misra1a: dental research, volume over pressure
+    "77.6 114.9 141.1 190.8 239.9 289 332.8 378.4 434.8 477.3 536.8 593.1 689.1 760",
+    "10.07 14.73 17.94 23.93 29.61 35.18 40.02 44.82 50.76 55.05 61.01 66.4 75.47 81.78",
+    (238.94212918, 5.5015643181e-4),
+    (2.7070075241, 7.2668688436e-6),
+    0.1018787633,
+    (250.0, 5e-4),
+)
+OXYGEN_DEMAND = (  # BoxBOD: biochemical oxygen demand, mg/l over days
+    "1 2 3 5 7 10",
+    "109 149 149 191 213 224",
+    (213.80940889, 0.54723748542),
+    (12.354515176, 0.10455993237),
+    17.088072423,
+    (100.0, 0.75),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("published", [ADSORPTION, OXYGEN_DEMAND], ids=["Misra1a", "BoxBOD"])
+def test_published_records_have_their_certified_values(published):
+    *texts, values, errors, residual, begin = published
+    x, y = (np.array(text.split(), dtype=float) for text in texts)
+    model = cosim.Model("uptake", stop_time=float(x[-1]))
+    taken = model.state("y", "1", 0.0, "y")
+    limit = model.parameter("b1", "1", begin[0], "limit")
+    model.derivative(taken, model.parameter("b2", "1/s", begin[1], "rate") * (limit - taken))
+    measured = Trajectory("published", x, (Column("y", "1"),), y[:, None])
+    found = fit(model.freeze(), measured, {"b1": None, "b2": None})
+    assert [*found.values.values()] == pytest.approx(values, rel=1e-6)  # measured 3e-7
+    assert [*found.errors.values()] == pytest.approx(errors, rel=1e-5)  # measured 3e-6
+    assert found.noise["y"] == pytest.approx(residual, rel=1e-5)
+
+
 @pytest.mark.slow
 def test_values_of_many_records_have_the_covariance_of_the_cramer_rao_bound():
     found = [fit(DECAY, noisy(seed), {"k": 1.0, "x": 1.0}) for seed in range(20)]

@@ -135,6 +135,38 @@ def test_coefficient_without_a_period_is_rejected(law):
         linearize(model.freeze())
 
 
+def timed_loop(law):
+    """x' = u - x; every 0.1 s, u becomes -8 law(t) x."""
+    model = Model("timed_loop")
+    x, u = model.state("x", "1", 1.0, "x"), model.discrete("u", "1", 0.0, "u")
+    model.derivative(x, u - x)
+    model.every(0.1, {u: -8 * law(model.t) * x})
+    return model.freeze()
+
+
+def test_sampled_law_that_is_periodic_in_time_has_the_map_of_the_common_period():
+    found = linearize(timed_loop(lambda t: ca.cos(2 * np.pi * t / 0.3)))
+    assert found.period == pytest.approx(0.3, rel=1e-12)  # before: 0.1, as if cos were always 1
+    decay = np.exp(-0.1)
+    factors = [decay - 8 * (1 - decay) * np.cos(2 * np.pi * k / 3) for k in range(3)]
+    assert found.eigenvalues[0] == pytest.approx(np.prod(factors), rel=1e-8)
+
+
+def test_sampled_law_without_a_period_is_rejected():
+    with pytest.raises(InitialConditionError, match="of u depends on time without a period"):
+        linearize(timed_loop(lambda t: t))
+
+
+def test_load_in_a_sampled_law_leaves_the_map_as_it_is():
+    loaded = Model("loaded")
+    x, u = loaded.state("x", "1", 1.0, "x"), loaded.discrete("u", "1", 0.0, "u")
+    loaded.derivative(x, u - x)
+    loaded.every(0.1, {u: loaded.t - 8 * x})
+    found = linearize(loaded.freeze())
+    assert found.period == pytest.approx(0.1, rel=1e-12)
+    assert found.eigenvalues[0] == pytest.approx(np.exp(-0.1) - 8 * (1 - np.exp(-0.1)), rel=1e-9)
+
+
 def test_load_that_depends_on_time_leaves_the_linear_system_as_it_is():
     model = Model("loaded")
     x = model.state("x", "1", 0.0, "x")

@@ -67,12 +67,14 @@ def period_of(dae: Dae, values: Values) -> float | None:
     Raises:
         InitialConditionError: The linear system depends on time, but has no period.
     """
-    samples = [of_samples(dae, i, values) for i, e in enumerate(dae.events) if e.sampled]
-    periods = {found.period for found in samples}
-    if _varies_in_time(dae):
-        own = _in_time(dae, values, ca.vertcat(dae.ode, dae.alg))
+    sampled = [(i, event) for i, event in enumerate(dae.events) if event.sampled]
+    periods = {of_samples(dae, i, values).period for i, _ in sampled}
+    laws = ca.vertcat(dae.ode, dae.alg, *(event.values for _, event in sampled))
+    if _varies_in_time(dae, laws):
+        own = _in_time(dae, values, laws)
         if not all(law.is_periodic for law in own):
-            names = [v.name for v in dae.states] + [v.name for v in dae.algebraics]
+            changed = [dae.states[state] for _, event in sampled for state in event.states]
+            names = [v.name for v in (*dae.states, *dae.algebraics, *changed)]
             wrong = next(name for name, law in zip(names, own, strict=True) if not law.is_periodic)
             raise InitialConditionError(
                 f"{dae.full_name}: the equation of {wrong} depends on time without a period, so "
@@ -101,9 +103,9 @@ def of_samples(dae: Dae, i: int, values: Values) -> Samples:
     return Samples(period, -begin * period)
 
 
-def _varies_in_time(dae: Dae) -> bool:
-    """Tell whether the linear system of the rates depends on explicit time."""
-    laws, knowns = ca.vertcat(dae.ode, dae.alg), ca.vertcat(dae.x, dae.z, dae.u)
+def _varies_in_time(dae: Dae, laws: SX) -> bool:
+    """Tell whether the linear system of laws depends on explicit time."""
+    knowns = ca.vertcat(dae.x, dae.z, dae.u)
     if not ca.depends_on(laws, dae.t):
         return False
     slopes = ca.jacobian(laws, knowns)
@@ -118,7 +120,7 @@ def _common(dae: Dae, periods: Sequence[float]) -> float:
         near = Fraction(ratio).limit_denominator(MOST_PERIODS)
         if abs(float(near) - ratio) > SAME_RATIO * ratio or near.numerator > MOST_PERIODS**2:
             raise InitialConditionError(
-                f"{dae.full_name}: the periods {period:.9g} s and {longest:.9g} s have no common "
+                f"{dae.full_name}: the periods {period:.13g} s and {longest:.13g} s have no common "
                 "period, so that there is no linear map over one; choose periods with a ratio of "
                 "small integers"
             )
