@@ -138,6 +138,19 @@ class Dae:
     def __reduce__(self) -> tuple[Any, ...]:
         return packed.unpacked, packed.packed(self)
 
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything that a run depends on, which words about it and pictures are not."""
+        bare = replace(
+            self,
+            description="",
+            source="",
+            report=(),
+            drawing=Drawing(),
+            parameters=tuple(replace(v, nominal=1.0) for v in self.parameters),  # of derivatives
+        )
+        return packed.digest(bare)
+
     @property
     def full_name(self) -> str:
         """`MODEL/FORMULATION`, as the command line takes it."""

@@ -1,5 +1,6 @@
 """Models for pickle: CasADi's expressions cannot be pickled one by one, for they share symbols."""
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple
@@ -30,6 +31,12 @@ def packed(value: Any) -> tuple[str, Any]:
     serializer = ca.StringSerializer()
     serializer.pack(expressions)
     return serializer.encode(), rest
+
+
+def digest(value: Any) -> str:
+    """Return a hash of a value that `packed` takes, the same in every process."""
+    content, rest = packed(value)
+    return hashlib.sha256(f"{content}\0{rest!r}".encode()).hexdigest()
 
 
 def unpacked(content: str, rest: Any) -> Any:

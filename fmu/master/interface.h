@@ -185,7 +185,9 @@ static inline int through_loops(Coupling *self, double *b) {
     const long long m = self->system->inputs;
     for (long long i = 0; i < m * m; ++i) self->matrix[i] = -self->gain[i];
     for (long long i = 0; i < m; ++i) self->matrix[i * m + i] += 1;
-    return solve_dense(m, self->matrix, b);
+    const long long determined = solve_dense(m, self->matrix, b);
+    if (determined) self->system->input = determined - 1;
+    return determined != 0;
 }
 
 static inline double size_of(const System *system, long long i, double u) {

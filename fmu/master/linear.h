@@ -5,14 +5,14 @@
 #include <math.h>
 #include <string.h>
 
-/* Solve n equations a x = b by elimination with pivots; b becomes x. Returns 0 unless a is
- * singular. */
-static inline int solve_dense(long long n, double *a, double *b) {
+/* Solve n equations a x = b by elimination with pivots; b becomes x. Returns 0, or
+ * the number of the first column that those before it determine, counted from 1. */
+static inline long long solve_dense(long long n, double *a, double *b) {
     for (long long c = 0; c < n; ++c) {
         long long pivot = c;
         for (long long r = c + 1; r < n; ++r)
             if (fabs(a[r * n + c]) > fabs(a[pivot * n + c])) pivot = r;
-        if (!(fabs(a[pivot * n + c]) > 0)) return 1;
+        if (!(fabs(a[pivot * n + c]) > 0)) return c + 1;
         for (long long k = c; pivot != c && k < n; ++k) {
             const double swapped = a[c * n + k];
             a[c * n + k] = a[pivot * n + k];

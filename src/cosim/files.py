@@ -96,6 +96,14 @@ def read_text(source: str | os.PathLike[str]) -> str:
         raise UsageError(f"{source} is not a UTF-8 text; save it in UTF-8") from error
 
 
+def is_file(path: str | os.PathLike[str]) -> bool:
+    """Tell whether there is a file; no file has a name that the system does not allow."""
+    try:
+        return Path(path).is_file()
+    except OSError:
+        return False
+
+
 def reject_unwritable(target: str | os.PathLike[str]) -> None:
     """Reject a path that cannot be written, before anything is computed for it.
 

@@ -1,6 +1,10 @@
-"""`cached_per_thread`: memoize a function per thread (CasADi integrators are not thread-safe)."""
+"""`cached_per_thread`: memoize a function per thread (CasADi integrators are not thread-safe).
 
-from collections.abc import Callable
+`digest_of` identifies what a stored result was computed from.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable
 from functools import lru_cache, wraps
 from threading import local
 from typing import ParamSpec, TypeVar, cast
@@ -26,3 +30,8 @@ def cached_per_thread(most: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return cached
 
     return decorate
+
+
+def digest_of(parts: Iterable[bytes]) -> str:
+    """Return a hash of some bytes."""
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()

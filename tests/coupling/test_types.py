@@ -319,3 +319,41 @@ def test_value_of_a_connector_is_a_number_for_every_type(part, tmp_path):
     system = through_connector(tmp_path, part, "on_in", "count_in")
     run = system.simulate(start_values={"in": 1}, macro_step=0.1, outputs=["a.on", "b.count"])
     np.testing.assert_array_equal(run.values, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "value", "own", "second"),
+    [
+        ("mode_in", 6, 3, 6),  # 6 is no item of it, and its half is one
+        ("mode_in", "2", 1, 2),
+        ("count_in", 1e1, 5, 10),
+        ("on_in", 2.0, 1, 2),
+    ],
+)
+def test_value_of_a_connector_is_transformed_before_its_type_is_checked(
+    first, value, own, second, part, tmp_path
+):
+    system = through_connector(tmp_path, part, first, "count_in", HALF)
+    names = [f"a.{first}", "b.count_in"]
+    given = {"start_values": {"in": value}}, {"inputs": {"in": value}}
+    for keywords in given:
+        run = system.simulate(macro_step=0.1, outputs=names, **keywords)
+        np.testing.assert_array_equal(run.values, [[own, second]] * len(run))
+
+
+@pytest.mark.parametrize(
+    ("first", "value", "words"),
+    [
+        ("mode_in", 3, "mode_in = 1.5 is no item of it"),
+        ("mode_in", 4, "mode_in = 2.0 is no item of it"),
+        ("mode_in", "fast", "fast"),
+        ("count_in", 3, "count_in = 1.5 is no Int"),
+        ("on_in", 1, "on_in = 0.5 is no Boolean"),
+    ],
+)
+def test_value_whose_transformation_has_not_the_type_is_rejected(
+    first, value, words, part, tmp_path
+):
+    system = through_connector(tmp_path, part, first, "count_in", HALF)
+    with pytest.raises(ParameterError, match=words):
+        system.simulate(start_values={"in": value}, macro_step=0.1)

@@ -121,3 +121,25 @@ def test_a_broken_formula_in_a_text_is_quoted(figure, ending, tmp_path, monkeypa
     printed = capsys.readouterr().err
     assert "a text of the figure has the formula '\\frac{a" in printed
     assert not (tmp_path / f"x.{ending}").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", "{}.toml"],
+        ["check", "{}.fmu"],
+        ["simulate", "{}.py:build"],
+        ["crosscheck", "{}.toml"],
+        ["new", "{}.py"],
+        ["sweep", "crank_shaft", "-p", "alpha=1,2", "--stop-time", "0.1", "--store", "{}"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_name_that_no_file_can_have_is_named(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    long = "x" * 300
+    assert main([word.format(long) for word in words]) in (1, 3)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "xxx ... xxx" in line
+    assert "Errno" not in line
+    assert list(tmp_path.iterdir()) == []

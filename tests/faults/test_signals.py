@@ -18,7 +18,7 @@ from cosim.errors import ParameterError
 from cosim.extensions import deferred_signals
 from cosim.fmi.run.isolated import run_apart
 from cosim.host.limits import MOST_WAIT
-from cosim.host.signals import ended_by_signals, time_limit
+from cosim.host.signals import TimeLimit, ended_by_signals
 from cosim.study.extremes.campaign import explore, select_cases
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals of POSIX")
@@ -212,8 +212,35 @@ def test_a_time_limit_that_is_no_positive_time_is_rejected(verb, limit, capsys):
 @pytest.mark.parametrize("limit", [None, inf, MOST_WAIT, 2 * MOST_WAIT, 1e10, 10**12])
 def test_a_long_limit_of_an_fmu_limits_nothing(limit, exported):
     assert len(run_apart(exported("bar_on_frame"), timeout=limit, stop_time=0.1)) > 1
-    with time_limit(limit):
+    with TimeLimit(limit):
         pass
+
+
+@posix
+@pytest.mark.parametrize("limit", [5e-324, 1e-9, 1e-6, 3e-6, 1e-5])
+def test_a_time_that_is_over_at_once_ends_in_one_sentence(limit, capsys):
+    """It may be over before the work begins, or as it ends."""
+    usual = signal.getsignal(signal.SIGALRM)
+    for _ in range(20):
+        assert main(["info", "--timeout", str(limit)]) == 1
+        err = capsys.readouterr().err
+        assert err == f"cosim info did not end within {limit:g} s and was stopped\n"
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+        assert signal.getsignal(signal.SIGALRM) == usual
+
+
+@posix
+def test_a_time_limit_holds_for_what_is_read_of_a_file(exported, capsys):
+    assert main(["info", str(exported("bar_on_frame")), "--timeout", "1e-9"]) == 1
+    assert capsys.readouterr().err == "cosim info did not end within 1e-09 s and was stopped\n"
+
+
+@posix
+def test_a_limit_that_is_reached_as_its_work_ends_raises_nothing_later():
+    with TimeLimit(60) as limit:
+        pass
+    limit.interrupt(signal.SIGALRM, None)  # Python calls handlers late
+    assert not limit.reached
 
 
 @pytest.mark.parametrize("limit", [0, -1.0, float("nan"), -inf, True, "5", 10**400])

@@ -187,3 +187,26 @@ def test_inclusions_stay_text(tmp_path):
     with pytest.raises(FmuError) as caught:
         simulate_fmu(path)
     assert "root:" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_STORED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_entry_that_cannot_be_unpacked_ends_in_one_sentence(kind, tmp_path):
+    """Its size in the directory leads beyond the archive, or its content is none of its kind."""
+    path = tmp_path / "damaged.ssp"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("SystemStructure.ssd", "<a/>")
+        archive.writestr("last", bytes(range(256)) * 40, kind)
+    content = bytearray(path.read_bytes())
+    entry = content.rindex(b"PK\x01\x02")
+    if kind == zipfile.ZIP_STORED:
+        content[entry + 20 : entry + 28] = struct.pack("<2I", 10**6, 10**6)
+    else:
+        place = content.index(b"last", content.index(b"last") - 1) + 4
+        content[place + 12 : place + 40] = bytes(28)
+    path.write_bytes(content)
+    with (
+        pytest.raises(FmuError, match="cannot unpack") as caught,
+        unpacked(path, description="SystemStructure.ssd"),
+    ):
+        pass
+    assert "Error" not in str(caught.value)

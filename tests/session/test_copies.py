@@ -119,6 +119,97 @@ def test_a_saved_state_leads_to_the_same_bits(solver):
         np.testing.assert_array_equal(copies.get(["x", "y"]), there)
 
 
+def _pushed():
+    """Return x' = push + pull - rate x; compiled code checks the bound of the parameter."""
+    model = Model("pushed", stop_time=1.0)
+    x = model.state("x", "m", 1.0, "place")
+    push, pull = (model.input(name, "m/s", 0.0, "speed") for name in ("push", "pull"))
+    rate = model.parameter("rate", "1/s", 0.5, "rate", minimum=0.0)
+    model.derivative(x, push + pull - rate * x)
+    return model.freeze()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("names", [("push", "pull", "rate"), ("rate", "pull", "push")])
+def test_a_rejected_value_leaves_all_others_as_they_were(fmi, names, tmp_path):
+    path = cosim.export_fmu(_pushed(), tmp_path / "pushed.fmu", fmi=fmi)
+    wrong = {"push": 3.0, "pull": 4.0, "rate": -1.0}
+    with cosim.open(path) as one, cosim.open(path, copies=2) as many:
+        one.set(push=1.0, pull=2.0)
+        many.set(push=1.0, pull=[2.0, 5.0])
+        with pytest.raises(FmuError, match="rate"):
+            one.set({name: wrong[name] for name in names})
+        np.testing.assert_array_equal(one.get(["push", "pull", "rate"]), [1.0, 2.0, 0.5])
+        columns = {name: [wrong[name] if name != "rate" else 1.0, wrong[name]] for name in names}
+        with pytest.raises(FmuError, match=r"copy 1: .*rate"):
+            many.set(columns)
+        kept = [[1.0, 1.0], [2.0, 5.0], [0.5, 0.5]]
+        np.testing.assert_array_equal(many.get(["push", "pull", "rate"]), kept)
+
+
+@pytest.mark.parametrize(
+    "names", [("a.push", "b.rate"), ("b.rate", "a.push"), ("a.push", "a.rate")]
+)
+def test_a_rejected_value_leaves_all_parts_as_they_were(names, tmp_path):
+    path = cosim.export_fmu(_pushed(), tmp_path / "pushed.fmu", fmi=3)
+    wrong = {"push": 3.0, "rate": -1.0}
+    with cosim.open(cosim.couple({"a": path, "b": path}, {}), macro_step=0.1) as session:
+        with pytest.raises(FmuError, match="rate"):
+            session.set({name: wrong[name[2:]] for name in names})
+        np.testing.assert_array_equal(session.get(["a.push", "a.rate", "b.rate"]), [0, 0.5, 0.5])
+        session.advance(0.1)
+        np.testing.assert_allclose(session.get(["a.x", "b.x"]), np.exp(-0.05), rtol=1e-7)
+
+
+def _falling(rate):
+    """Return the declarations of x' = -rate x."""
+    model = Model("lag", stop_time=3.0)
+    x = model.state("x", "m", 1.0, "height")
+    model.derivative(x, -rate * x)
+    return model
+
+
+@pytest.mark.parametrize("solver", [None, "erk"])
+def test_state_of_another_model_of_the_same_name_and_sizes_is_rejected(solver):
+    slow, fast = (_falling(rate).freeze() for rate in (1.0, 2.0))
+    with (
+        cosim.open(slow, copies=2, solver=solver) as here,
+        cosim.open(fast, copies=2, solver=solver) as there,
+        cosim.open(_falling(1.0).freeze(), copies=2, solver=solver) as again,
+    ):
+        here.advance(0.5)
+        saved, x = here.save(), here["x"]
+        with pytest.raises(UsageError, match="saved by copies of another model"):
+            there.restore(saved)
+        np.testing.assert_array_equal(there["x"], [1.0, 1.0])
+        assert there.time == 0.0
+        again.restore(saved)  # built anew, with the same equations
+        np.testing.assert_array_equal(again["x"], x)
+
+
+def test_state_of_ended_copies_of_another_model_is_rejected():
+    models = [_falling(rate) for rate in (1.0, 2.0)]
+    for model in models:
+        model.stop(model.t > 0.25, "late")
+    slow, fast = (model.freeze() for model in models)
+    with cosim.open(slow, copies=2) as here, cosim.open(fast, copies=2) as there:
+        here.advance(1.0)
+        assert not here.running.any()
+        with pytest.raises(UsageError, match="saved by copies of another model"):
+            there.restore(here.save())
+        assert there.running.all()
+
+
+def test_saved_copies_of_a_file_hold_for_the_same_file_elsewhere(tmp_path):
+    path = cosim.export_fmu(_falling(1.0).freeze(), tmp_path / "lag.fmu")
+    other = tmp_path / "copy.fmu"
+    other.write_bytes(path.read_bytes())
+    with cosim.open(path, copies=2) as here, cosim.open(other, copies=2) as there:
+        here.advance(0.5)
+        there.restore(here.save())
+        np.testing.assert_array_equal(there["x"], here["x"])
+
+
 @pytest.fixture
 def lags(tmp_path):
     """x' = -x in copies whose states hold for their own instances only."""

@@ -25,6 +25,19 @@ def test_saved_state_outlives_the_session_and_the_file(tmp_path):
         assert (session.time, session["x"]) == (0.5, x)
 
 
+def test_a_state_of_another_tolerance_is_rejected(tmp_path):
+    """It would bring its tolerance along."""
+    path = cosim.export_fmu(decay(), tmp_path / "decay.fmu")
+    for model in (decay(), path):
+        with (
+            cosim.open(model, relative_tolerance=1e-3) as loose,
+            cosim.open(model, relative_tolerance=1e-9) as tight,
+        ):
+            with pytest.raises(UsageError, match="or with another relative_tolerance"):
+                tight.restore(loose.save())
+            assert tight.copy()["x"] == tight["x"]
+
+
 def test_wrong_bytes_are_rejected_and_change_nothing(session):
     session.advance(0.1)
     saved, x = session.save(), session["x"]

@@ -242,10 +242,13 @@ def test_failed_initialization_is_named_and_a_reset_goes_on(files, tmp_path):
 
 
 def test_failure_after_a_rejected_value_ends_the_session(files, tmp_path, monkeypatch):
-    accept = Access.set
+    """An FMU keeps a value that it rejects, and takes the one before it no more."""
+    accept, given = Access.set, []
 
     def reject(access, values):
-        accept(access, values)
+        if not given:
+            accept(access, values)
+        given.append(values)
         raise FmuError("rejected")
 
     with cosim.open(rooted(tmp_path, files["lag"], "z")) as session:
@@ -261,17 +264,37 @@ def test_failure_after_a_rejected_value_ends_the_session(files, tmp_path, monkey
         assert session["root.x"] == pytest.approx(exp(-0.5), abs=1e-7)
 
 
-@pytest.mark.parametrize(("own", "others"), [(0.1, 0.01), (0.01, 0.1), (0.1, None)])
-def test_states_of_other_macro_steps_are_rejected(own, others, files):
+@pytest.mark.parametrize(
+    ("own", "others"),
+    [
+        ({"macro_step": 0.1}, {"macro_step": 0.01}),
+        ({"macro_step": 0.01}, {"macro_step": 0.1}),
+        ({"macro_step": 0.1}, {}),
+        ({"macro_step": 0.1}, {"macro_step": 0.1, "method": "jacobi"}),
+        ({"macro_step": 0.1}, {"macro_step": 0.1, "relative_tolerance": 1e-3}),
+        ({"accuracy": 1e-3}, {"accuracy": 1e-9}),
+    ],
+)
+def test_states_of_sessions_with_other_settings_are_rejected(own, others, files):
     system = lags(files)
-    with (
-        cosim.open(system, macro_step=own) as first,
-        cosim.open(system, macro_step=others) as second,
-    ):
+    with cosim.open(system, **own) as first, cosim.open(system, **others) as second:
         first.advance(to=0.2)
-        with pytest.raises(UsageError, match="or with another macro_step"):
+        with pytest.raises(UsageError, match="or with another macro_step, method, accuracy or to"):
             second.restore(first.save())
         assert second.time == 0.0
+        second.advance(to=0.1)  # it goes on
+
+
+def test_a_state_of_parts_with_other_abilities_changes_nothing(files):
+    """A part for model exchange has another state than one for co-simulation."""
+    part, way = {"ball": files["ball"]}, {"macro_step": 0.1}
+    exchange = cosim.couple(part, {}, abilities={"ball": "no co-simulation"})
+    with cosim.open(cosim.couple(part, {}), **way) as first, cosim.open(exchange, **way) as second:
+        second.advance(to=0.1)
+        height = second["ball.h"]
+        with pytest.raises(UsageError, match="saved by another session or system"):
+            second.restore(first.save())
+        assert (second.time, second["ball.h"]) == (0.1, height)
 
 
 @EVERY_WAY

@@ -126,6 +126,23 @@ def test_key_depends_on_everything_that_changes_the_trajectory():
     assert reference_key(cosim.requested(oscillator())) == reference_key(scene)
 
 
+def _ball(kept):
+    model = Model("ball", stop_time=0.6, output_interval=0.1)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(h, v)
+    model.derivative(v, -10.0)
+    model.when(h < 0, {v: -kept * v}, name="impact")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("kept", [0.75, 0.5])
+def test_models_that_differ_in_an_event_have_references_of_their_own(kept):
+    """An impact at sqrt(0.2) s, at sqrt(20) m/s, lies before the last time."""
+    after = 0.6 - np.sqrt(0.2)
+    v = kept * np.sqrt(20) - 10 * after
+    assert reference(_ball(kept)).run.final["v"] == pytest.approx(v, abs=1e-9)
+
+
 @pytest.mark.slow
 def test_formulations_of_one_model_have_one_reference():
     """DAE against ODE: other equations, other solvers."""

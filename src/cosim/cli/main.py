@@ -20,7 +20,7 @@ from cosim.cli.verbs import ALIASES, VERBS
 from cosim.errors import CosimError, meant_elsewhere
 from cosim.files import reject_unwritable
 from cosim.host.progress import shown_on_terminal
-from cosim.host.signals import ended_by_signals, time_limit
+from cosim.host.signals import TimeLimit, ended_by_signals
 from cosim.text import described, visible
 
 _OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -160,7 +160,8 @@ def _run_words(words: Sequence[str], *, own_process: bool) -> int:
     args = _parsed(words)
     named = [value for name, value in vars(args).items() if name != "output_file"]
     given = [word for value in named for word in (value if isinstance(value, list) else [value])]
-    foreign = any(isinstance(word, str) and word.endswith(".fmu") for word in given)
+    runs_code = args.verb != "info"
+    foreign = runs_code and any(isinstance(w, str) and w.endswith(".fmu") for w in given)
     if not foreign or not own_process:
         return _run_verb(args, foreign=foreign)
     from cosim.host.child import ending_orphans
@@ -219,8 +220,8 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
 def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:
     """Run a verb within its time limit, which FMU files have for each run; return its exit code."""
     seconds = None if foreign else getattr(args, "timeout", None)
-    code = None
-    with suppress(KeyboardInterrupt), time_limit(seconds) as limit:
+    code, limit = None, TimeLimit(seconds)
+    with suppress(KeyboardInterrupt), limit:
         code = _reported(args)
     if limit.reached and code != 0:  # it may end in the same moment
         limited = f"did not end within {seconds:g} s and was stopped"

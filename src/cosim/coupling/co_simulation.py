@@ -48,7 +48,7 @@ from cosim.host.signals import interruptible
 from cosim.model.times import time_grid
 from cosim.trajectory import Column, Event, Trajectory
 
-_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
+DEFAULT_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
 _TOLERANCE = 1e-10  # of the parts' solvers, with a given macro step
 _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third run is usual
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
@@ -161,7 +161,7 @@ class CoSimulation:
             ends: Whether the run ends at the stop time.
         """
         if settings.macro_step is None:
-            accuracy = settings.accuracy or _ACCURACY
+            accuracy = settings.accuracy or DEFAULT_ACCURACY
             tolerance = max(_FIRST * _TIGHTER * accuracy, _TIGHTEST)
             of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
         else:
@@ -183,7 +183,7 @@ class CoSimulation:
     def _accurate(self, task: _Task) -> Trajectory:
         """Tighten the tolerance of the coupling until two runs in succession agree."""
         settings = task.settings
-        accuracy = settings.accuracy or _ACCURACY
+        accuracy = settings.accuracy or DEFAULT_ACCURACY
         last, steps, ratio, before, jumps_before = None, 0, 1.0, 0.0, np.empty(0, dtype=bool)
         # where a part falls short of order 4, the estimate may miss what it does within a step
         smooth = set(self.orders(settings.method).values()) == {"cubic inputs"}

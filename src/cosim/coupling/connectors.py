@@ -17,6 +17,11 @@ class End(NamedTuple):
     factor: float
     offset: float
 
+    @property
+    def is_same(self) -> bool:
+        """Whether the variable has the value of the connector, which may then be a word."""
+        return (self.factor, self.offset) == (1.0, 0.0)
+
 
 @dataclass(frozen=True)
 class Connector:

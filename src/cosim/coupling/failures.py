@@ -52,7 +52,7 @@ def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
     part, output = wiring.sources[system.input] if has_input else ("", "")
     shorter = "; give a shorter macro_step, or accuracy" if system.macro_step else ""
     if how == CoupledEnding.LOOP_UNSOLVED:
-        return f"the loop of direct feedthrough through {entry} has no solution at {time}"
+        return f"the loop of direct feedthrough that drives {entry} has no solution at {time}"
     if how == CoupledEnding.UNSETTLED:
         return f"the iteration of the input {entry} diverges after {time}{shorter}"
     if how == CoupledEnding.NOISY:

@@ -9,6 +9,7 @@ from cosim.coupling.couple import couple_within
 from cosim.coupling.ssp.reader import identifier, read_ssp
 from cosim.coupling.system import System
 from cosim.errors import UsageError
+from cosim.files import is_file
 from cosim.model.values import number
 from cosim.toml_file import read_toml, texts, typed
 from cosim.trajectory import Trajectory
@@ -27,7 +28,7 @@ def is_system(path: str | os.PathLike[str]) -> bool:
     file = Path(path)
     if file.suffix == ".ssp" or _VARIANT.fullmatch(str(path)):
         return True
-    if file.suffix != ".toml" or not file.is_file():
+    if file.suffix != ".toml" or not is_file(file):
         return False
     return _PARTS.search(file.read_text("utf-8", errors="replace")) is not None
 

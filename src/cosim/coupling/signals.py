@@ -17,6 +17,7 @@ from cosim.fmi.run.typed_values import is_continuous, series_value
 from cosim.integrate.keywords import requested
 from cosim.model.driving import driven, with_held, with_tables
 from cosim.model.inputs import InputSeries
+from cosim.model.quantities import quantity
 from cosim.model.values import number
 from cosim.trajectory import Trajectory
 
@@ -114,11 +115,13 @@ def _driven(
 
 def _number_for(owner: str, ends: Sequence[tuple[End, Variable]], value: object) -> float:
     """Return the number of a value, if each of the variables that it sets can have its own."""
-    first = ends[0][1]
-    if isinstance(value, str):
+    first = next((variable for end, variable in ends if end.is_same), None)
+    if isinstance(value, str) and first is not None:
         given = series_value(owner, first, value)
+    elif isinstance(value, str):
+        given = quantity(owner, value, "1")
     else:
-        given = float(value) if isinstance(value, bool) else number(owner, first.name, value)
+        given = float(value) if isinstance(value, bool) else number(owner, ends[0][1].name, value)
     for end, variable in ends:
         series_value(owner, variable, end.factor * given + end.offset)
     return given

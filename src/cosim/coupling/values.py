@@ -69,15 +69,15 @@ def values_of(
             raise UsageError(f"{name} cannot be given; it is calculated")
         if any(end.variable in driven for end in ends):
             raise UsageError(f"{name} is connected and given a value; drop one")
-        other = next((v for v in variables if v.type not in REALS), None)
+        pairs = [*zip(ends, variables, strict=True)]
+        other = next((v for end, v in pairs if end.is_same and v.type not in REALS), None)
         if other is None:
             plain = _plain(key, value, unit, units)
         else:
             plain = value_of_text(key[0], other, value)
             plain = int(plain) if isinstance(plain, bool) else plain
-        for end, variable in zip(ends, variables, strict=True):
-            same = (end.factor, end.offset) == (1.0, 0.0)
-            own = plain if same else end.factor * plain + end.offset
+        for end, variable in pairs:
+            own = plain if end.is_same else end.factor * plain + end.offset
             found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
 

@@ -3,7 +3,6 @@
 import os
 import stat
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -102,8 +101,8 @@ def unpacked(
     ):
         try:
             archive.extractall(folder)
-        except (OSError, ValueError, zipfile.BadZipFile, RuntimeError, zlib.error) as error:
-            reason = getattr(error, "strerror", None) or error
+        except Exception as error:  # of any decoder
+            reason = why_unreadable(error)
             cure = "; make room, or set TMPDIR" if isinstance(error, OSError) else ""
             raise FmuError(f"cannot unpack {source}: {reason}{cure}") from error
         yield folder.resolve()
@@ -142,8 +141,13 @@ def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_B
         raise SecurityError(f"entry '{entry}' has more than {most_bytes} bytes; do not use it")
     try:
         return archive.read(entry)
-    except (OSError, zipfile.BadZipFile, RuntimeError, EOFError, ValueError, zlib.error) as error:
-        raise FmuError(f"entry '{entry}' cannot be read: {error}") from error
+    except Exception as error:  # of any decoder
+        raise FmuError(f"entry '{entry}' cannot be read: {why_unreadable(error)}") from error
+
+
+def why_unreadable(error: Exception) -> str:
+    """Return what is wrong with an entry, from the exception of what unpacks it."""
+    return getattr(error, "strerror", None) or str(error) or "the archive ends before it does"
 
 
 def reject_dangerous_xml(name: str, content: bytes) -> None:

@@ -52,10 +52,46 @@ class TimeLimitReached(KeyboardInterrupt):
 
 
 class TimeLimit:
-    """A time limit: `reached` tells whether it has interrupted the work."""
+    """Raises `TimeLimitReached` in the main thread after a time, s; never for None or infinity.
 
-    def __init__(self) -> None:
-        self.reached, self._raised = False, False
+    An interval timer does it; on Windows, which has none, a thread. The time may be over as soon as
+    it begins.
+
+    Attributes:
+        reached: Whether it has interrupted the work.
+    """
+
+    def __init__(self, seconds: float | None) -> None:
+        self.reached, self._raised, self._over = False, False, False
+        self._seconds = waiting_time(seconds)
+        self._by_timer = hasattr(signal, "setitimer")
+        self._kind = signal.SIGALRM if self._by_timer else signal.SIGINT
+        self._thread = Timer(self._seconds or 0.0, self.expire)
+        self._thread.daemon = True
+        self._usual_timer = 0.0, 0.0
+
+    def __enter__(self) -> "TimeLimit":
+        if self._seconds is None:
+            return self
+        self._usual = signal.signal(self._kind, self.interrupt)
+        try:
+            if self._by_timer:
+                self._usual_timer = signal.setitimer(signal.ITIMER_REAL, self._seconds, _AGAIN)
+            else:
+                self._thread.start()
+        except TimeLimitReached:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over = True
+        if self._seconds is None:
+            return
+        if self._by_timer:
+            signal.setitimer(signal.ITIMER_REAL, *self._usual_timer)
+        self._thread.cancel()
+        signal.signal(self._kind, self._usual)
 
     def expire(self) -> None:
         """Interrupt the main thread by SIGINT."""
@@ -68,38 +104,13 @@ class TimeLimit:
 
     def interrupt(self, number: int, _frame: FrameType | None) -> None:
         """Handle one of these signals."""
+        if self._over:
+            return
         self.notice(number)
         if self._raised and _handled():
             return
         self._raised = True
         raise TimeLimitReached if self.reached else KeyboardInterrupt
-
-
-@contextmanager
-def time_limit(seconds: float | None) -> Iterator[TimeLimit]:
-    """Raise `TimeLimitReached` in the main thread after a time, s; never for None or infinity.
-
-    An interval timer does it; on Windows, which has none, a thread.
-    """
-    limit, seconds = TimeLimit(), waiting_time(seconds)
-    if seconds is None:
-        yield limit
-        return
-    thread, by_timer = Timer(seconds, limit.expire), hasattr(signal, "setitimer")
-    thread.daemon = True
-    kind = signal.SIGALRM if by_timer else signal.SIGINT
-    before = signal.signal(kind, limit.interrupt)
-    if by_timer:
-        timer = signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
-    else:
-        thread.start()
-    try:
-        yield limit
-    finally:
-        if by_timer:
-            signal.setitimer(signal.ITIMER_REAL, *timer)
-        thread.cancel()
-        signal.signal(kind, before)
 
 
 class Insistence:

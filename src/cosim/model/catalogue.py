@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import casadi_models
 from casadi_models import CATALOG
 from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.files import is_file
 from cosim.text import Table, described
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def load_user_model(path: str, function: str) -> Dae:
 
 
 def _builder(path: str, function: str) -> Callable[[], Any]:
-    if not Path(path).is_file():
+    if not is_file(path):
         raise UnknownName(f"{path} is not a file; name one as PATH.py:FUNCTION")
     spec = importlib.util.spec_from_file_location(f"_cosim_{Path(path).stem}", path)
     if spec is None or spec.loader is None:

@@ -14,6 +14,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError, naming_arguments_of
+from cosim.memo import digest_of
 from cosim.series.csv_file import Words, read_samples
 from cosim.series.samples import Column
 
@@ -80,6 +81,12 @@ class InputSeries:
         for k in np.flatnonzero(gaps <= 4 * np.spacing(np.abs(np.append(time, 0)))).tolist():
             if gaps[k - 1] > 0 and gaps[k + 1] > 0:  # no time stands three times
                 time[k] = time[k - 1]
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the samples."""
+        names = repr((self.names, dict(self.spans))).encode()
+        return digest_of((names, self.time.tobytes(), self.values.tobytes()))
 
     @cached_property
     def breaks(self) -> Vector:

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from cosim.errors import UnknownName, UsageError
+from cosim.files import is_file
 from cosim.toml_file import TomlFile, read_toml
 
 
@@ -37,4 +38,4 @@ def figures_file(file: TomlFile) -> TomlFile:
         return file
     with file.naming("figures"):
         place = file.path.parent / named
-        return read_toml(find_scene(place if place.exists() else named))
+        return read_toml(find_scene(place if is_file(place) else named))

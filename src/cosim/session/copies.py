@@ -23,6 +23,7 @@ class Engine(Protocol):
         inputs, outputs, states: Names.
         reasons: Why copies have ended or failed, by number.
         invalid: The first violated validity condition of copies with its time, by number.
+        owner: What tells the model from those whose states it cannot take.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Engine(Protocol):
     states: tuple[str, ...]
     reasons: dict[int, str]
     invalid: dict[int, str]
+    owner: str
 
     def begin(self, values: Mapping[str, Any], time: float, rows: Integers) -> None:
         """Begin copies again at a time, s, with values by name, (rows,) or texts with units."""
@@ -248,7 +250,7 @@ class Copies:
             for name, found in texts.items()
             for part, column in (("at", found.keys()), ("text", found.values()))
         }
-        facts = {"model": np.array(self.name), "clock": np.array(self._clock.facts)}
+        facts = {"model": np.array(engine.owner), "clock": np.array(self._clock.facts)}
         arrays = {**facts, **lists, **engine.save()}
         np.savez(content, allow_pickle=False, **arrays)  # checksums of a ZIP archive
         return content.getvalue()
@@ -269,7 +271,7 @@ class Copies:
             texts = [arrays.pop(f"{n}_{p}") for n in ("reasons", "invalid") for p in ("at", "text")]
         except Exception as error:
             raise UsageError(f"{self.name}: these bytes are no saved copies, or damaged") from error
-        if model != self.name or not engine.fits(arrays):
+        if model != engine.owner or not engine.fits(arrays):
             raise UsageError(
                 f"{self.name}: these bytes were saved by copies of another model, or by another "
                 "number of them"

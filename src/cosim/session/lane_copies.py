@@ -49,6 +49,7 @@ class LaneCopies:
         self.states = tuple(v.name for v in dae.states)
         self.reasons: dict[int, str] = {}
         self.invalid: dict[int, str] = {}
+        self.owner = dae.digest
         self._dae = dae
         self._tolerance = tolerance
         self._stop = inf if stop is None else stop

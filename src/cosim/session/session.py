@@ -71,13 +71,16 @@ class Session(Life):
         every = description.modelVariables
         single: list[Any] = [v for rate in rates for v in elements_of(rate, every) or [rate]]
         self.states = tuple(v.derivative.name for v in single)
-        facts = f"{description.guid} {description.modelName} {description.fmiVersion}"
         self._serializes = bool(description.coSimulation.canSerializeFMUstate)
-        self._owner = uuid.uuid4().bytes
-        if self._serializes:
-            self._owner = hashlib.sha256(facts.encode()).digest()[:16]
+        self._owner = self.identity() if self._serializes else uuid.uuid4().bytes
         self._used = False
         self._begin_at(self._start_values)
+
+    def identity(self) -> bytes:
+        """Return what tells the session from those whose states it cannot take."""
+        one, tolerance = self._description, self._experiment.tolerance
+        facts = one.guid, one.modelName, one.fmiVersion, tolerance  # which a state brings along
+        return hashlib.sha256(repr(facts).encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -227,7 +230,8 @@ class Session(Life):
         Raises:
             UnknownName, UsageError, ParameterError: A variable does not exist or cannot be set, or
                 a value does not fit; then nothing is set.
-            FmuError: The model rejects a value, has ended or failed, or is closed.
+            FmuError: The model rejects a value, and nothing is set; or it has ended or failed, or
+                is closed.
         """
         if self._phase is not RUNNING:
             self._require()
@@ -267,8 +271,8 @@ class Session(Life):
         """Return the state of the session, for `restore`.
 
         If the FMU writes its state as bytes, as every model does, they outlive the session and
-        hold for other sessions of the same model; otherwise for this session until it is closed
-        or an FMU from elsewhere is reset.
+        hold for other sessions of the same model with the same tolerance; otherwise for this
+        session until it is closed or an FMU from elsewhere is reset.
 
         Raises:
             FmuError: The FMU cannot save its state, or the session has ended, failed or is closed.
@@ -315,7 +319,9 @@ class Session(Life):
             self._reject_closed()
         owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
-            what = "model" if self._serializes else "session, as its FMU writes no state as bytes"
+            what = "session, as its FMU writes no state as bytes"
+            if self._serializes:
+                what = "model, or with another relative_tolerance"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
         if not self._serializes and place >= len(self._states.saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")

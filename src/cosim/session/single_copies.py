@@ -27,6 +27,7 @@ class SingleCopies:
         self.states = first.states
         self.reasons: dict[int, str] = {}
         self.invalid: dict[int, str] = {}
+        self.owner = first.identity().hex()
         self._failed: set[int] = set()  # copies without values
 
     def begin(self, values: Mapping[str, Any], time: float, rows: Integers) -> None:

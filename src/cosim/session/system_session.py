@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from cosim.arrays import Vector
 from cosim.coupling.c_structures import coupling_library
+from cosim.coupling.co_simulation import DEFAULT_ACCURACY
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.failures import failure, violations
 from cosim.coupling.opened_part import OpenedPart, explained
@@ -89,13 +90,16 @@ class SystemSession(Life):
         self.outputs = (*(".".join(one) for one in self._instances.recorded), *shown)
         self._begin_at(self._start_values)
 
-    def _identity(self) -> bytes:
+    def identity(self) -> bytes:
         """Return what tells the session from those whose states it cannot take."""
         facts = [
             f"{name} {part.description.guid} {part.description.modelName}"
             for name, part in self._instances.parts.items()
         ]
-        text = "\n".join([*facts, f"{self._system.connections} {self._settings.macro_step}"])
+        one, system = self._settings, self._system
+        accuracy = one.macro_step or one.accuracy or DEFAULT_ACCURACY
+        settings = one.macro_step, accuracy, one.tolerance, one.method, dict(system.unused)
+        text = "\n".join([*facts, f"{system.connections} {settings}"])
         return hashlib.sha256(text.encode()).digest()[:16]
 
     # -- life ---------------------------------------------------------------------------------
@@ -229,11 +233,15 @@ class SystemSession(Life):
         library.begin_changes(place)
         self._answer(())
         try:
-            for name, values in by_part.items():
-                part = self._instances.parts[name]
-                variables = [self._variable(name, one) for one in values]
-                with explained(self.name, part):
-                    access_to(variables, part.instance, part.description).set([*values.values()])
+            with ExitStack() as undoing:
+                for name, values in by_part.items():
+                    part = self._instances.parts[name]
+                    variables = [self._variable(name, one) for one in values]
+                    access = access_to(variables, part.instance, part.description)
+                    with explained(self.name, part):
+                        undoing.callback(access.set, access.get())
+                        access.set([*values.values()])
+                undoing.pop_all()  # no part has rejected its values
         finally:
             library.end_changes(place)
             self._answer(())
@@ -301,12 +309,12 @@ class SystemSession(Life):
 
     @cached_property
     def _saver(self) -> bytes:
-        return self._identity() if self._states.serializes else uuid.uuid4().bytes
+        return self.identity() if self._states.serializes else uuid.uuid4().bytes
 
     def save(self) -> bytes:
         """Return the state of all parts and of the master; see `Session.save`.
 
-        It holds for sessions of the same system with the same macro_step; if a part does not write
+        It holds for sessions of the same system with the same settings; if a part does not write
         its state as bytes, for this session until its reset.
         """
         self._require()
@@ -349,7 +357,7 @@ class SystemSession(Life):
         if owner != self._saver:
             raise UsageError(
                 f"{self.name}: these bytes were saved by another session or system, or with "
-                "another macro_step"
+                "another macro_step, method, accuracy or tolerance"
             )
         return clock, place, notes, size
 

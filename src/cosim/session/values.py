@@ -58,13 +58,22 @@ class Values:
             if type(value) is not float or not isfinite(value) or variable.type not in _FLOATS:
                 value = plain_value(self._name, self._description, variable, value)
             found.append((group, value))
-        for group, plain in found:
+        before = [self._present(group) for group, _ in found] if len(found) > 1 else []
+        for number, (group, plain) in enumerate(found):
             if not group.is_plain:  # an element: the others stay as they are
                 self._check(group.get(), "Get")
             group.buffer[group.places] = plain
             status = group.set()
             if status > WARNING:
+                for (earlier, _), value in zip(found[:number], before, strict=False):
+                    earlier.buffer[:] = value
+                    earlier.set()
                 self._check(status, "Set")
+
+    def _present(self, group: Group) -> Vector:
+        """Return the values of a group."""
+        self._check(group.get(), "Get")
+        return group.buffer.copy()
 
     def _setter(self, name: str) -> tuple[Any, Group]:
         """Return a variable that may be set during a run, with its prepared call."""

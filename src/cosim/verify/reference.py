@@ -5,7 +5,6 @@ estimate of the reference's own error, variable by variable. The reference is co
 numbers of one request, and cached.
 """
 
-import hashlib
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,6 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.codegen.cache import content_of, store_if_possible
 from cosim.codegen.compiler import has_compiler
-from cosim.codegen.initialization import start_function
 from cosim.errors import SolverError, UsageError
 from cosim.integrate.families.casadi_rk import Erk, Rosenbrock
 from cosim.integrate.families.explicit import Dop853
@@ -25,16 +23,16 @@ from cosim.integrate.families.fixed_step import FixedStep, Ode8
 from cosim.integrate.families.sundials import Idas
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.run import run as execute
+from cosim.memo import digest_of
 from cosim.model.request import Policy, RunRequest
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import Times, time_grid
-from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import compare
 
 ENOUGH = 3e-12  # estimated error, in nominal values, at which no further method is tried
-_REFERENCE_FORMAT = "reference-5"
+_REFERENCE_FORMAT = "reference-6"
 
 
 # In the order of trial; which of them succeed depends on the model. The number is a relative
@@ -113,23 +111,12 @@ def reference(subject: Scene | RunRequest | Dae) -> Reference:
 def reference_key(request: RunRequest) -> str:
     """Return a hash of everything that the trajectory of a request depends on."""
     dae = request.configured()
-    equations = ca.Function("equations", dae.arguments, [dae.ode, dae.alg, dae.outputs])
-    values = assign(dae)
     start, stop = request.times.span(dae)
     grid = time_grid(start, stop, dae.experiment.output_interval)
-    parts = [equations.serialize().encode(), start_function(dae).serialize().encode()]
-    parts += [array.tobytes() for array in (values.x, values.p, values.u, grid)]
-    recorded = (*dae.states, *dae.algebraics, *dae.output_variables)
-    named = [(v.name, v.nominal) for v in recorded]
     methods = [(solver.name, setting) for solver, setting in METHODS]
-    parts.append(repr((_REFERENCE_FORMAT, ca.CasadiMeta.version(), named, methods)).encode())
-    if request.inputs is not None:
-        parts.append(repr(request.inputs.names).encode())
-        parts += [request.inputs.time.tobytes(), request.inputs.values.tobytes()]
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(len(part).to_bytes(8) + part)
-    return digest.hexdigest()[:32]
+    inputs = request.inputs and request.inputs.digest
+    facts = repr((_REFERENCE_FORMAT, ca.CasadiMeta.version(), dae.digest, inputs, methods))
+    return digest_of((facts.encode(), grid.tobytes()))[:32]
 
 
 def _computed(request: RunRequest, key: str) -> Reference:

@@ -55,6 +55,7 @@ def test_one_connector_drives_several(read):
         (connection("s.z", "g.u"), "'s' has no variable 'z'"),
         (connection("z", "g.u"), "the system has no connector 'z'"),
         (connection("in.z", "g.u"), "'in' has no connector 'z'"),
+        (connection("odd.z", "g.u"), "'odd' has no variable 'z'"),
         (connection("s.y", "g.y"), "both ends cannot be driven"),
         (connection("g.u", "g.k"), "both ends can only be driven"),
         (connection("s.y", "g.u") * 2, "g.u is connected twice, to s.y and to s.y"),
@@ -68,7 +69,8 @@ def test_one_connector_drives_several(read):
 def test_wrong_connection_is_rejected_with_file_and_entry(write, wires, words):
     through = system("q", "", connection("u", "y"), kinds={"u": "input", "y": "output"})
     inner = system("in", "", kinds={"y": "output"})
-    path = write(system("S", SOURCE + component("g", "gain") + through + inner, wires))
+    odd = component("odd", "source", kinds={"y": "output", "z": "output"})  # its FMU has no z
+    path = write(system("S", SOURCE + odd + component("g", "gain") + through + inner, wires))
     with pytest.raises(CosimError, match=words) as caught:
         cosim.read_ssp(path)
     assert str(caught.value).startswith(f"{path}: SystemStructure.ssd: ")
@@ -114,6 +116,28 @@ def test_signal_dictionary_connects_what_refers_to_it(read, own_file):
         read(whole.replace('Connector="a"', 'Connector="b"'), **entries)
     with pytest.raises(UsageError, match="'bus' refers to no signal dictionary: 'E'"):
         read(whole.replace('dictionary="D"', 'dictionary="E"'), **entries)
+
+
+def test_dictionaries_of_one_folder_have_their_own_signals_and_units(read):
+    names = ("d", "e")
+    declared = "".join(
+        f'<ssd:SignalDictionary name="{n}" source="resources/{n}.ssb"/>' for n in names
+    )
+    entries = {
+        f"resources__{n}_ssb": DICTIONARY.format("").replace(">", f" {NAMESPACES}>", 1)
+        for n in names
+    }
+    buses = "".join(
+        f'<ssd:SignalDictionaryReference name="bus_{n}" dictionary="{n}"/>' for n in names
+    )
+    wires = (("s.y", "bus_d.a"), ("bus_d.a", "g.u"), ("g.y", "bus_e.a"), ("bus_e.a", "h.u"))
+    whole = system(
+        "S",
+        SOURCE + component("g", "gain") + component("h", "gain") + buses,
+        "".join(connection(*wire) for wire in wires),
+        more=f"<ssd:SignalDictionaries>{declared}</ssd:SignalDictionaries>",
+    )
+    assert ends(read(whole, **entries)) == {"g.u": ("s.y", 1, 0), "h.u": ("g.y", 1, 0)}
 
 
 # Values

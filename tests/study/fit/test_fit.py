@@ -55,6 +55,32 @@ def test_exact_record_gives_the_values_that_made_it():
     assert not found.unidentified
 
 
+@pytest.mark.parametrize("size", [1.0, 1e9, 1e12])
+def test_a_minimum_that_is_far_from_the_first_values_is_reached(size):
+    """phi = omega t + alpha t^2 / 2 is linear in both, so that least squares are exact."""
+    noise = np.random.default_rng(0).normal(0, 0.5, len(TIMES))
+    phi = size * (50 * TIMES + 5 * TIMES**2 + noise)
+    measured = Trajectory("far", TIMES, (Column("phi", "rad"),), phi[:, None])
+    table = np.column_stack((TIMES**2 / 2, TIMES))
+    exact, (squares,), *_ = np.linalg.lstsq(table, phi, rcond=None)
+    errors = np.sqrt(np.diag(squares / (len(TIMES) - 2) * np.linalg.inv(table.T @ table)))
+    found = fit("crank_shaft", measured, ["alpha", "omega"])
+    values = np.array([found.values[name] for name in ("alpha", "omega")])
+    assert (np.abs(values - exact) / errors).max() < 1e-5  # measured 1e-7
+    own = [found.errors[name] for name in ("alpha", "omega")]
+    np.testing.assert_allclose(own, errors, rtol=1e-5)
+    assert found.notes == ()
+
+
+def test_a_minimum_that_no_run_reaches_is_noted():
+    far = record({"x": 1e200 * np.exp(-TIMES)})
+    with pytest.raises(ParameterError, match="the squares of these measurements have no size"):
+        fit(DECAY, far, {"x": 1.0, "k": 1.0})
+    measured = Trajectory("far", TIMES, (Column("phi", "rad"),), 1e100 * TIMES[:, None])
+    found = fit("crank_shaft", measured, ["alpha", "omega"])
+    assert any("the fit did not converge: the minimum is about" in note for note in found.notes)
+
+
 # Measured records of the Statistical Reference Datasets (NIST, nonlinear regression) of
 # y = b1 (1 - exp(-b2 x)): x, y, then b1, b2, their standard deviations and that of the residuals as
 # certified there, and where the fit begins

@@ -198,3 +198,15 @@ def test_a_full_disk_ends_in_one_sentence(folder, monkeypatch):
                 fill(store)
     with Store.opened(layout(), folder, resume=True) as store:
         assert store.finished() == [(0, 16), (32, 8)]
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    target = tmp_path / "store"
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(ExportError) as caught:
+        Store.created(layout(), target)
+    assert str(caught.value) == f"cannot create {target}: {os.strerror(errno.ENOSPC)}"
+    assert list(tmp_path.iterdir()) == []

@@ -2,11 +2,15 @@
 
 import pickle
 
+import casadi
+import numpy as np
 import pytest
 
 import cosim
 from cosim.errors import UnknownName, UsageError
-from cosim.study.sweep.subject import open_subject
+from cosim.integrate.keywords import requested
+from cosim.model.inputs import InputSeries
+from cosim.study.sweep.subject import ModelSubject, open_subject
 
 
 @pytest.mark.parametrize("name", ["bicycle/book", "bicycle/multipliers", "double_pendulum"])
@@ -28,6 +32,57 @@ def test_a_worker_rebuilds_the_same_subject(name):
 def test_another_parameter_is_another_subject():
     digests = {open_subject(name).digest for name in ("bicycle", "bicycle/book")}
     assert len(digests) == 2
+
+
+def _ball(*, kept=0.7, floor=0.0, limit=5.0, sampled=2.0, smooth=False):
+    """Return a ball whose events, limit and smooth relations are no part of its derivatives."""
+    model = cosim.Model("ball", stop_time=1.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    hits = model.discrete("hits", "1", 0.0, "weighted impacts")
+    model.derivative(h, v)
+    push = casadi.if_else(v > 1, 0.0, 0.1)
+    model.derivative(v, -9.81 + (cosim.smooth(push) if smooth else push))
+    model.when(h < floor, {v: -kept * v, hits: hits + 1}, name="impact")
+    model.every(0.25, {hits: sampled * hits})
+    model.limit(limit - h, "it is near the ground")
+    return model.freeze()
+
+
+_SAMPLES = np.sin(np.arange(2001.0))
+
+
+def _driven(change=0.0, place=1000, **keywords):
+    values = _SAMPLES.copy()
+    values[place] += change
+    series = InputSeries(("T2",), np.linspace(0, 1, 2001), values[:, None])
+    return requested(cosim.load("bar_on_frame"), inputs=series, **keywords)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"kept": 0.3}, {"floor": 0.1}, {"limit": 6.0}, {"sampled": 3.0}, {"smooth": True}],
+    ids=lambda words: next(iter(words)),
+)
+def test_another_event_or_limit_is_another_subject(changed):
+    digest = open_subject(_ball()).digest
+    assert open_subject(_ball()).digest == digest
+    assert open_subject(_ball(**changed)).digest != digest
+
+
+def test_another_sample_of_an_input_is_another_subject():
+    digests = [ModelSubject(one).digest for one in (_driven(), _driven())]
+    assert len({*digests}) == 1
+    others = _driven(1e-12), _driven(50.0), _driven(on_invalid="stop")
+    assert len({*digests, *(ModelSubject(one).digest for one in others)}) == 4
+
+
+def test_a_store_of_a_model_with_another_event_is_not_continued(tmp_path):
+    def run(kept, **keywords):
+        return cosim.sweep(_ball(kept=kept), {"h": [1.0, 2.0]}, workers=0, **keywords)
+
+    run(0.7, store=tmp_path / "store")
+    with pytest.raises(UsageError, match="holds another sweep: its model_digest"):
+        run(0.3, store=tmp_path / "store", resume=True)
 
 
 def test_an_unknown_keyword_of_a_run_is_rejected_with_the_nearest_one():

@@ -2,27 +2,27 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
+from cosim.files import is_file
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, RULES, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
 from cosim.fmi.trust import require_trust
-from cosim.host.signals import TimeLimitReached, time_limit
+from cosim.host.signals import TimeLimit, TimeLimitReached
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the findings; return 4 if something is wrong, else 0."""
     try:
-        with time_limit(args.trial_timeout):
+        with TimeLimit(args.trial_timeout):
             findings = list(examine(args.file))
     except TimeLimitReached:
         limit = f"within {args.trial_timeout:g} s; use --timeout"
         raise FmuError(f"{args.file}: its description was not read {limit}") from None
     except FmuError as error:
-        if not Path(args.file).is_file():
+        if not is_file(args.file):
             raise
         findings, args.trials = [RULES["archive"].about("archive", str(error))], False
     if args.trials:

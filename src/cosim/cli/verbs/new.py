@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cosim.cli.tables import note, report_files, write_text
 from cosim.errors import UnknownName, UsageError
+from cosim.files import is_file
 from cosim.scene import shipped_scenes
 
 
@@ -23,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         template = Path(__file__).with_name("pendulum.txt").read_text(encoding="utf-8")
         text, subject = template.format(file=path, name=path.stem), f"{path}:build"
-    if not printed and path.exists():
+    if not printed and is_file(path):
         raise UsageError(f"cosim new: {path} exists; give another name")
     write_text(None if printed else str(path), text)
     if args.json and not printed:

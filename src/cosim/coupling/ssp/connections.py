@@ -210,7 +210,7 @@ class Connections:
             element, owner = system.elements[inner], f"'{'.'.join((*system.place, inner))}'"
         if element.dictionary is not None:
             return self._signal(element, document, name, owner)
-        declared = {**element.connectors, **self._variables.get(element.place, {})}
+        declared = self._variables.get(element.place, element.connectors)
         if name not in declared:
             kind = "variable" if element.place in self._variables else "connector"
             near = UnknownName.among(owner, kind, name, declared)

@@ -245,12 +245,12 @@ def _dictionaries(system: ET.Element, here: _Context) -> dict[str, Dictionary]:
         if declared.get("type", _DICTIONARY) != _DICTIONARY:
             raise document.fault(f"dictionary '{name}' is of type {declared.get('type')}")
         if source is None:
-            tables = declared.findall("SignalDictionary")
+            holder, tables = document, declared.findall("SignalDictionary")
         else:
-            document = document.package.document(document.find(source)[0], "SignalDictionary")
-            tables = [document.root]
+            holder = document.package.document(document.find(source)[0], "SignalDictionary")
+            tables = [holder.root]
         signals = {
-            entry.get("name", ""): _unit(entry, document.units_in(table))
+            entry.get("name", ""): _unit(entry, holder.units_in(table))
             for table in tables
             for entry in table.iterfind("DictionaryEntry")
         }

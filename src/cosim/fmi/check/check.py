@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import PurePosixPath
 
-from cosim.fmi.archive import DESCRIPTION, Source, entry_content, opened
+from cosim.fmi.archive import DESCRIPTION, Source, entry_content, opened, why_unreadable
 from cosim.fmi.check.description import description_findings, schema_findings
 from cosim.fmi.check.finding import OWN, RULES, Finding, Rule
 from cosim.fmi.check.libraries import folder_findings, library_findings
@@ -97,8 +97,8 @@ def _archive(archive: zipfile.ZipFile) -> Iterator[Finding]:
             yield RULES["compression"].at(place, found, f"{place} {found}")
     try:
         damaged = archive.testzip()
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-        yield RULES["archive"].about("archive", f"the archive is damaged: {error}")
+    except Exception as error:  # of any decoder
+        yield RULES["archive"].about("archive", f"the archive is damaged: {why_unreadable(error)}")
         return
     if damaged:
         place = f"entry '{damaged}'"

@@ -23,6 +23,9 @@ RANK = 1e-6  # singular values below this share of the largest identify nothing
 SHARE = 0.1  # of a combination, from which a value is named in it
 REWEIGHTINGS = 10  # most repetitions with noise estimated from the last residuals
 SETTLED = 1e-3  # relative change of the estimated noise that ends them
+FURTHER = 10  # most minimizations, each from where the one before points to
+CONVERGED = 1e-3  # distance to the minimum in standard errors, after Bates and Watts (1981)
+ROUNDED = 1e-6  # relative steps that are not looked at: runs have errors of their own
 TOLERANCE = 1e-10  # of the minimization: of values, cost and gradient, all relative
 NORMAL = 1.4826  # standard deviation of a normal distribution by its median deviation
 
@@ -111,6 +114,7 @@ def fit(
             f"fit: {problem.samples} measured values cannot determine {len(unknowns.names)} "
             "unknowns; give more measurements, or fit fewer values"
         )
+    problem.reject_overflow()
     sizes = problem.noise(noise)
     best, failed = None, 0
     for start in unknowns.starts(starts, seed):
@@ -142,7 +146,7 @@ class _Solution:
         cost: What other minimizations are compared by.
         jacobian: Derivatives of the weighted residuals.
         noise: By output.
-        success, message: Of the minimizer.
+        missing: What is missing to the minimum; empty if nothing.
     """
 
     x: Vector
@@ -150,8 +154,7 @@ class _Solution:
     cost: float
     jacobian: Vector
     noise: Vector
-    success: bool
-    message: str
+    missing: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +189,18 @@ class _Problem:
             places = np.array([self.names.index(name) for name in record.names])
             found.append(np.broadcast_to(places, known.shape)[known])
         return np.concatenate(found)
+
+    def reject_overflow(self) -> None:
+        """Reject measurements whose squares exceed what doubles hold."""
+        most = max(
+            np.abs(r.values[known]).max(initial=0.0)
+            for r, known in zip(self.records, self.known, strict=True)
+        )
+        if not np.isfinite(float(most) * float(most) * self.samples):
+            raise ParameterError(
+                f"fit: {most:g} is measured, and the squares of these measurements have no size; "
+                "correct the record"
+            )
 
     def noise(self, given: Mapping[str, float] | None) -> Vector:
         """Return the noise of each output: given, or nominal values to begin with, (outputs,)."""
@@ -236,17 +251,7 @@ class _Problem:
             minimum = EPS * noise
             noise = np.fmax(self._estimated(self.residuals(x), loss, free), minimum)
         for _ in range(REWEIGHTINGS):
-            found = minimize(
-                lambda x, weights=1 / noise[places]: self._or_infinite(x) * weights,
-                np.clip(x, *bounds),
-                lambda x, weights=1 / noise[places]: self.slopes(x) * weights[:, None],
-                bounds=bounds,
-                x_scale="jac",
-                loss=loss,
-                xtol=TOLERANCE,
-                ftol=TOLERANCE,
-                gtol=TOLERANCE,
-            )
+            found, missing = self._minimized(minimize, x, bounds, 1 / noise[places], loss)
             x, free = found.x, self._free(found.x, found.grad)
             if not estimated:
                 break
@@ -255,7 +260,58 @@ class _Problem:
                 break
         cost = float(np.log(noise[places]).sum()) if estimated else float(found.cost)
         jacobian = self.slopes(x) / noise[places][:, None]
-        return _Solution(x, free, cost, jacobian, noise, bool(found.success), str(found.message))
+        why = "" if found.success else str(found.message)
+        return _Solution(x, free, cost, jacobian, noise, missing or why)
+
+    def _minimized(
+        self, minimize: Any, x: Vector, bounds: Any, weights: Vector, loss: str
+    ) -> tuple[Any, str]:
+        """Minimize from scaled values on; return also what is missing to the minimum, if anything.
+
+        Where the minimum is far off, the first, short steps of the minimizer change the cost too
+        little, and it takes that for the end.
+        """
+        best = None
+        for _ in range(FURTHER):
+            try:
+                found = minimize(
+                    lambda x: self._or_infinite(x) * weights,
+                    np.clip(x, *bounds),
+                    lambda x: self.slopes(x) * weights[:, None],
+                    bounds=bounds,
+                    x_scale="jac",
+                    loss=loss,
+                    xtol=TOLERANCE,
+                    ftol=TOLERANCE,
+                    gtol=TOLERANCE,
+                )
+            except SolverError:
+                if best is None:
+                    raise
+                break
+            if best is not None and not found.cost < best.cost:
+                return best, ""
+            best = found
+            step, errors = self._ahead(found)
+            if errors < CONVERGED or np.all(np.abs(step) <= ROUNDED * np.abs(found.x)):
+                return found, ""
+            x = np.clip(found.x + step, *bounds)
+            if not np.isfinite(self._or_infinite(x)).all():
+                break
+        return best, f"the minimum is about {errors:.2g} standard errors off; begin closer to it"
+
+    def _ahead(self, found: Any) -> tuple[Vector, float]:
+        """Return the Gauss-Newton step from scaled values, and its length in standard errors."""
+        free = self._free(found.x, found.grad)
+        norms = np.linalg.norm(found.jac, axis=0)
+        norms[norms == 0] = 1.0
+        _, singular, rows = np.linalg.svd(found.jac[:, free] / norms[free], full_matrices=False)
+        kept = singular > RANK * singular.max(initial=0.0)
+        parts = rows[kept] @ (found.grad / norms)[free] / singular[kept]
+        step = np.zeros(len(free))
+        step[free] = -(rows[kept].T @ (parts / singular[kept])) / norms[free]
+        spread = np.sqrt(2 * found.cost / max(len(found.fun) - len(free), 1))
+        return step, float(np.linalg.norm(parts) / spread) if spread else 0.0
 
     def _free(self, x: Vector, slope: Vector) -> Truths:
         """Tell which scaled values are not at a bound that the slope of the cost leads beyond."""
@@ -358,7 +414,7 @@ class _Problem:
             "those of other values hold for this one"
             for place in np.flatnonzero(~best.free)
         ]
-        return found if best.success else [f"the fit did not converge: {best.message}", *found]
+        return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
 
 
 EPS = 1e-12  # least noise of an output, in nominal values, so that exact records have weights

@@ -1,7 +1,7 @@
 """A block of a sweep: consecutive runs that are computed and stored together."""
 
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.arrays import Vector
+from cosim.errors import UsageError
 from cosim.integrate.ensemble.ensemble import Ensemble, RunState
 from cosim.study.sweep.reductions import Function, Keep, Moments, moments_of
 from cosim.study.sweep.subject import Subject
@@ -17,6 +18,7 @@ from cosim.text import short_reason
 
 STATES = tuple(RunState)  # a state is stored as its position here
 COMPLETE = STATES.index(RunState.COMPLETE)
+_TAKEN = ("run", "time", "status", "reason", "steps", "reached", "blocks")  # names in a store
 NOT_COMPUTED = STATES.index(RunState.INTERRUPTED)
 
 
@@ -92,7 +94,9 @@ class Job:
                 curve = ensemble.names.index(reduction.variable)
                 numbers[reduction.name][i] = reduction.of(known, curve)
         for function in self.keep.functions:
-            _add_results(function, ensemble, states, reasons, numbers)
+            outputs = ensemble.names if self.keep.trajectories else ()
+            taken = {*_TAKEN, *columns, *outputs, *numbers}
+            _add_results(function, ensemble, states, reasons, numbers, taken)
         return Block(
             first,
             states,
@@ -150,19 +154,30 @@ def _add_results(
     states: NDArray[np.int8],
     reasons: dict[int, str],
     numbers: dict[str, Vector],
+    taken: Collection[str],
 ) -> None:
-    """Add the numbers of a user's function for each complete run; an exception fails that run."""
+    """Add the numbers of a user's function for each complete run; an exception fails that run.
+
+    Raises:
+        UsageError: A number has the name of something else in the sweep.
+    """
     for i in np.flatnonzero(states == COMPLETE).tolist():
         try:
             call = _unpickled(function) if isinstance(function, bytes) else function
-            for name, value in dict(call(ensemble.run(i))).items():
-                column = numbers.setdefault(str(name), np.full(len(states), np.nan))
-                column[i] = float(value)
+            found = {str(name): float(v) for name, v in dict(call(ensemble.run(i))).items()}
         except Exception as error:
             states[i] = STATES.index(RunState.FAILED)
             reasons[i] = f"the function failed with {type(error).__name__}: {error}"
             for column in numbers.values():
                 column[i] = np.nan
+            continue
+        for name, value in found.items():
+            if name in taken:
+                raise UsageError(
+                    f"sweep: a function of keep returns '{name}', which the results have already; "
+                    "give its number another name"
+                )
+            numbers.setdefault(name, np.full(len(states), np.nan))[i] = value
 
 
 @lru_cache(2)

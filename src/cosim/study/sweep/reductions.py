@@ -35,14 +35,20 @@ class Reduction:
     @property
     def name(self) -> str:
         """Name of the number, e.g. `phi_max`."""
-        at = "" if self.level is None else f"_{self.level:g}"
-        return f"{self.variable}_{self.kind}{at}"
+        return "_".join([self.variable, self.kind, *([] if self.level is None else [self._digits])])
+
+    @property
+    def _digits(self) -> str:
+        """The level; two of them never have the same digits."""
+        assert self.level is not None
+        short = f"{self.level:g}"
+        return short if float(short) == self.level else repr(self.level)
 
     @property
     def meaning(self) -> str:
         """Meaning of the number, e.g. "max of phi"."""
         if self.kind == "first":
-            return f"time when {self.variable} first crosses {self.level:g}"
+            return f"time when {self.variable} first crosses {self._digits}"
         words = {"final": "final value", "rms": "root mean square over time"}
         return f"{words.get(self.kind, self.kind)} of {self.variable}"
 
@@ -124,7 +130,10 @@ def keep_from(items: Iterable[str | Function], outputs: Sequence[str]) -> Keep:
             raise UsageError(f"sweep: {word}: write e.g. first(phi, 0.5), and others as max(phi)")
         if variable is not None and variable not in outputs:
             raise UnknownName.among("sweep", "output", variable, outputs)
-        number = None if level is None else float(level)
+        try:
+            number = None if level is None else float(level)
+        except ValueError:
+            raise UsageError(f"sweep: {word}: '{level}' is no number; write e.g. 0.5") from None
         for name in outputs if variable is None else (variable,):
             reductions.append(Reduction(kind, name, number))
     once = tuple(dict.fromkeys(reductions))

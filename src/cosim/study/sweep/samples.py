@@ -1,8 +1,7 @@
 """The samples of a sweep: tables, grids and designs."""
 
-import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -17,6 +16,7 @@ from casadi_models.units import represented
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
+from cosim.memo import digest_of
 from cosim.model.many_values import as_arrays
 from cosim.model.values import MOST_SEED, number, whole
 from cosim.series.csv_file import numbers_of, rows_of
@@ -203,8 +203,3 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
         f"sweep: {name} = {represented(spread)} is no range; give (low, high), or a distribution "
         "such as scipy.stats.norm(0, 1)"
     )
-
-
-def digest_of(parts: Iterable[bytes]) -> str:
-    """Return a hash of some bytes."""
-    return hashlib.sha256(b"\0".join(parts)).hexdigest()

@@ -138,12 +138,12 @@ class Store:
             UsageError: The folder holds something.
             ExportError: It cannot be written.
         """
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UsageError(
-                f"{folder} exists already; continue it with resume=True (--resume), or name "
-                "another store"
-            )
         try:
+            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+                raise UsageError(
+                    f"{folder} exists already; continue it with resume=True (--resume), or name "
+                    "another store"
+                )
             folder.parent.mkdir(parents=True, exist_ok=True)
             with temporary_folder(folder.parent) as place:  # so that it is whole or not there
                 store = cls(layout, place / "store")
@@ -157,8 +157,10 @@ class Store:
                 if folder.exists():
                     folder.rmdir()
                 (place / "store").rename(folder)
-        except OSError as error:
-            raise ExportError(f"cannot create {folder}: {error.strerror or error}") from error
+        except (OSError, ExportError) as error:
+            reason = error.__cause__ or error  # without the temporary folder
+            reason = getattr(reason, "strerror", None) or reason
+            raise ExportError(f"cannot create {folder}: {reason}") from error
         return cls(layout, folder)
 
     @classmethod
@@ -399,5 +401,6 @@ def _stored_manifest(folder: Path) -> dict[str, Any]:
         attributes = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["attributes"]
         found: dict[str, Any] = json.loads(attributes[_SWEEP])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{folder} holds no sweep ({error}); begin one without resume") from error
+        why = getattr(error, "strerror", None) or error
+        raise UsageError(f"{folder} holds no sweep ({why}); begin one without resume") from error
     return found

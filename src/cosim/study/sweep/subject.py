@@ -9,11 +9,8 @@ from threading import Lock
 from time import perf_counter
 from typing import Any
 
-import casadi as ca
-
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.codegen.initialization import law_of_knowns
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, UsageError
 from cosim.fmi.run.description import by_name
@@ -31,6 +28,7 @@ from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.solvers import chosen_solver
+from cosim.memo import digest_of
 from cosim.model.catalogue import load
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
@@ -38,7 +36,6 @@ from cosim.model.start_outputs import overriding
 from cosim.model.times import Times
 from cosim.model.values import assign, numbers_of, settable_variable
 from cosim.scene.scene_file import read_scene
-from cosim.study.sweep.samples import digest_of
 from cosim.trajectory import Column, Trajectory
 
 
@@ -77,15 +74,10 @@ class ModelSubject:
     def __init__(self, request: RunRequest) -> None:
         dae, self._request = request.dae, request
         self.name = dae.full_name
-        rules = [rule.expression for rule in dae.start_rules]
-        function = ca.Function("model", dae.arguments, [dae.ode, dae.alg, dae.outputs])
-        starts = law_of_knowns(dae, "starts", *rules)
-        numbers = [v.start for v in dae.variables]
-        facts = (dae.full_name, numbers, dae.x_start, sorted(request.values.items()))
-        rest = repr((*facts, request.inputs, request.times, request.solver))
-        self.digest = digest_of(
-            part.encode() for part in (function.serialize(), starts.serialize(), rest)
-        )
+        inputs = request.inputs and request.inputs.digest
+        settings = (request.times, request.solver, request.policy)
+        facts = repr((dae.digest, sorted(request.values.items()), inputs, settings))
+        self.digest = digest_of((facts.encode(),))
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
         """Return the recorded outputs."""

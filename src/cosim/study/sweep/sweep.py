@@ -24,8 +24,9 @@ from cosim.integrate.ensemble.ensemble import RunState, first_of, range_row, var
 from cosim.integrate.ensemble.lanes import processors
 from cosim.model.values import whole
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
+from cosim.study.sweep.functions import function_name
 from cosim.study.sweep.reductions import Function, Statistics, keep_from
-from cosim.study.sweep.samples import Samples, chosen_samples, digest_of
+from cosim.study.sweep.samples import Samples, chosen_samples
 from cosim.study.sweep.store import Layout, Store, stored_samples
 from cosim.study.sweep.subject import RunKeywords, open_subject, run_settings
 from cosim.text import MOST_LINES, counted, csv_text, text_table
@@ -301,7 +302,7 @@ def sweep(
         "samples": chosen.origin,
         "samples_digest": chosen.digest,
         "outputs": list(names),
-        "keep": [*stored.words(), *map(_function_name, stored.functions)],
+        "keep": [*stored.words(), *map(function_name, stored.functions)],
         "settings": settings,
         "computed": computed,
         "versions": {name: version(name) for name in ("cosim-rigid", "casadi", "numpy")}
@@ -394,11 +395,3 @@ def _block_size(runs: int, numbers: int, *, in_lanes: bool) -> int:
     least, most = _LANE_BLOCK if in_lanes else _BLOCK
     size = min(max(runs // _BLOCKS, least), most, max(_BLOCK_NUMBERS // max(numbers, 1), 1))
     return int(1 << size.bit_length() - 1)
-
-
-def _function_name(function: Function | bytes) -> str:
-    """Return the name of a user's function and a digest of its code."""
-    name = getattr(function, "__qualname__", type(function).__qualname__)
-    code = getattr(function, "__code__", None)
-    digest = "" if code is None else digest_of([code.co_code, repr(code.co_consts).encode()])[:16]
-    return f"{name} {digest}".strip()
