@@ -186,8 +186,8 @@ SHARED void cosim_stay(Call *call, const MotionRows *rows, long long n, double *
 
 #endif
 
-/* Margins and their rates at a time, by a fresh run from the first of two rows. */
-typedef void FreshRun(double t, double *inside, double *rates);
+/* Margins and their rates at a time, by a fresh run from the first of two rows; false to end. */
+typedef bool FreshRun(double t, double *inside, double *rates);
 
 typedef struct {
     Kernel *kernel;
@@ -238,8 +238,7 @@ static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
 static inline bool run_to(void *cubic, double t, Place *found) {
     const Cubic *self = cubic;
     found->t = t;
-    self->run(t, found->inside, found->rates);
-    return true;
+    return self->run(t, found->inside, found->rates);
 }
 
 /* Where a relation leaves its mode between two rows: the relation, or -1. `goes_on`: beyond the

@@ -281,6 +281,20 @@ def test_interrupt_between_events_keeps_what_was_computed(place, monkeypatch):
     np.testing.assert_array_equal(partial.values, whole.values[: len(partial)])
 
 
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ZeroDivisionError])
+def test_nothing_runs_after_a_fresh_run_that_fails(failure, monkeypatch):
+    calls = []
+
+    def failed(piece, k, t):
+        calls.append(t)
+        raise failure
+
+    monkeypatch.setattr("cosim.integrate.location.Piece.state_at", failed)
+    with pytest.raises(Interrupted if failure is KeyboardInterrupt else failure):
+        simulate(ball(), solver="cvodes")
+    assert len(calls) == 1
+
+
 def test_interrupted_command_writes_what_it_has(tmp_path):
     file = tmp_path / "run.csv"
     call = [

@@ -23,7 +23,7 @@ _DOUBLE, _LONG = ctypes.c_double, ctypes.c_longlong
 _PLACE = ctypes.c_void_p
 _NUMBERS = ctypes.POINTER(_DOUBLE)
 _NOTE = ctypes.CFUNCTYPE(None, *[_NUMBERS] * 4)
-_FRESH_RUN = ctypes.CFUNCTYPE(None, _DOUBLE, _NUMBERS, _NUMBERS)
+_FRESH_RUN = ctypes.CFUNCTYPE(ctypes.c_bool, _DOUBLE, _NUMBERS, _NUMBERS)
 
 
 class _Call(ctypes.Structure):
@@ -363,15 +363,16 @@ class Kernel:
         """
         time, errors = _DOUBLE(), list[BaseException]()
 
-        def report(t: float, *places: "ctypes._Pointer[ctypes.c_double]") -> None:
+        def report(t: float, *places: "ctypes._Pointer[ctypes.c_double]") -> bool:
             assert run is not None
             try:
                 margins = run(t)
             except BaseException as error:  # it cannot pass through C
                 errors.append(error)
-                margins = (np.zeros(self.switching.modes),) * 2
+                return False
             for place, values in zip(places, margins, strict=True):
                 np.ctypeslib.as_array(place, values.shape)[:] = values
+            return True
 
         given = self._rows(rows)
         self._arrays["z"][: len(z)] = z
