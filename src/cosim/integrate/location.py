@@ -204,15 +204,13 @@ class Piece:
         u, _ = self._inputs(times)
         return np.array(equations(self.own.dae)(times[None], x.T, z.T, u.T, self.p)[0]).T
 
-    @property
-    def has_bounds(self) -> bool:
-        """Whether bounds of relations tell where they stay."""
-        return bool(self.system.enclosures.relations) and not self.own.sliding
-
     def stay(self, inside: Vector) -> NDArray[np.bool_]:
-        """Return from which times to the next no relation leaves its mode, by bounds, (n - 1,)."""
+        """Return from which times to the next no relation leaves its mode, by bounds, (n - 1,).
+
+        Relations without bounds are taken to stay, and all of them while one slides.
+        """
         assert self.kernel is not None
-        if not self.has_bounds:
+        if self.own.sliding or not self.system.enclosures.relations:
             return np.ones(len(self.times) - 1, dtype=bool)
         return self.kernel.stay(self.rows(inside))
 
