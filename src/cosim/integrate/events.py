@@ -142,7 +142,7 @@ class _Course:
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
         self.next = 0  # row of the grid to be written
-        self.event_row = 0  # the row after it
+        self.event_row = 0  # the row after the last event that was located
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
@@ -181,7 +181,7 @@ class _Course:
         if self.system.events:
             self._switch(self.at)
         else:
-            self._plan()
+            self.kernel.plan(self.at.t, self.at.inputs)
 
     def run(self) -> Motion:
         """Run to the end of the grid, or to an event that ends the run."""
@@ -398,7 +398,7 @@ class _Course:
         self._record([instant])
         self._end(happened.ending, switched)
         if happened.replan:
-            self._plan()
+            self.kernel.plan(self.at.t, self.at.inputs)
         self._write(self.at.t)
 
     def _record(self, passed: Sequence[Passed]) -> None:
@@ -413,11 +413,6 @@ class _Course:
             self.stop = self.system.events[ending.part].message
         names = ", ".join(self.system.described(i) for i in sorted(switched))
         reject(self.system, self.at.t, ending, names or "an event")
-
-    def _plan(self) -> None:
-        """Plan time events."""
-        assert self.kernel is not None
-        self.kernel.plan(self.at.t, self.at.inputs)
 
     def _with_inputs(self, at: Instant) -> Instant:
         """Return an instant with the inputs just after it."""
