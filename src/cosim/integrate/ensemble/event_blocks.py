@@ -27,7 +27,7 @@ from cosim.integrate.events import records_of
 from cosim.integrate.families.explicit import Dop853, block_library
 from cosim.integrate.growth import growth_in
 from cosim.integrate.initial_values import consistent_values
-from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
+from cosim.integrate.modes import hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
@@ -227,15 +227,14 @@ class EventBlocks:
             *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )
-        done = partial(self._share, report)
+
+        def done() -> float:
+            return float((report[:, 0] != _NOT_BEGUN).mean())
+
         with interruptible(self._library) as interrupts, doing("runs with events", done):
             self._library.cosim_block(ctypes.byref(block), *self._work)
         self._interrupted = bool(interrupts)
         return rows, report
-
-    def _share(self, report: Vector) -> float:
-        """Return which part of a block is done."""
-        return float((report[:, 0] != _NOT_BEGUN).mean())
 
     def _finished(
         self, position: int, motion: Motion, values: Values, events: NDArray[np.void]
@@ -266,10 +265,6 @@ class EventBlocks:
             make if happened else None,
         )
 
-    def _passed(self, values: Values, events: NDArray[np.void]) -> list[Passed]:
-        inputs = np.tile(values.u, (len(events), 1))
-        return passed_events(events, (inputs, np.zeros_like(inputs)))
-
     def _trajectory(
         self,
         position: int,
@@ -278,7 +273,8 @@ class EventBlocks:
         values: Values,
         events: NDArray[np.void],
     ) -> Trajectory:
-        passed = self._passed(values, events)
+        inputs = np.tile(values.u, (len(events), 1))
+        passed = passed_events(events, (inputs, np.zeros_like(inputs)))
         instants = [(instant.before, instant.after) for instant in passed]
         motion = replace(motion, events=records_of(self._system, passed), instants=instants)
         times = motion.solve_time or 0.0, 0.0
