@@ -261,10 +261,6 @@ def _inverse(a: _Span, _: _Span) -> _Span:
     return _Span(low, high, False)
 
 
-def _square(a: _Span, _: _Span) -> _Span:
-    return _power_of(a, 2)
-
-
 def _power_of(a: _Span, n: int) -> _Span:
     """Return the span of a positive integer power."""
     if n == 1:
@@ -324,7 +320,7 @@ _RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of 
     ca.OP_MUL: _product,
     ca.OP_INV: _inverse,
     ca.OP_DIV: lambda a, b: _product(a, _inverse(b, b)),
-    ca.OP_SQ: _square,
+    ca.OP_SQ: lambda a, _: _power_of(a, 2),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
     ca.OP_SIN: _wave(ca.sin),
