@@ -18,7 +18,7 @@ from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
 from cosim.text import Ending, EndKind
 
-_ROOM_FOREVENTS = 100_000  # bytes, of the events that one call of a solver goes through
+_ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
 class Counts(NamedTuple):
@@ -134,7 +134,7 @@ def event_type(system: Hybrid) -> np.dtype[np.void]:
 def room_for_events(system: Hybrid) -> NDArray[np.void]:
     """Return an array for the events that one call of a solver goes through."""
     record = event_type(system)
-    return np.empty(1 + _ROOM_FOREVENTS // record.itemsize, record)
+    return np.empty(1 + _ROOM_FOR_EVENTS // record.itemsize, record)
 
 
 class Left(NamedTuple):
