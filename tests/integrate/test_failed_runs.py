@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pkgutil import resolve_name
 
 import casadi as ca
@@ -28,7 +29,10 @@ import cosim
 from casadi_models.dae import Model
 from cosim.api import simulate
 from cosim.errors import InitialConditionError, Interrupted, SolverError
+from cosim.integrate.call import INTERRUPTED
+from cosim.integrate.nominal import scaled_call
 from cosim.integrate.solvers import SOLVERS
+from cosim.model.inputs import InputSeries
 
 EVERY_WAY = pytest.mark.parametrize(("solver", "compiled"), WAYS)
 END_OF_LEVEL = 2 * (1 - 0.1 * np.log(11))  # s; see `emptying`
@@ -293,6 +297,32 @@ def test_nothing_runs_after_a_fresh_run_that_fails(failure, monkeypatch):
     with pytest.raises(Interrupted if failure is KeyboardInterrupt else failure):
         simulate(ball(), solver="cvodes")
     assert len(calls) == 1
+
+
+def test_interrupt_ends_a_run_whose_input_comes_to_rest_after_an_event(monkeypatch):
+    model = Model("relay", stop_time=2.0, output_interval=0.05)
+    clock = model.state("clock", "s", 0.0, "time since the start")
+    count = model.state("x", "s", 0.0, "how long u is at its level")
+    level = model.discrete("level", "1", 5.0, "level of u")
+    u = model.input("u", "1", 0.0, "input")
+    model.derivative(clock, 1)
+    model.derivative(count, ca.if_else(u >= level, 1, 0))
+    model.when(clock > 0.35, {level: 1.0})
+    dae = model.freeze()
+    inputs = InputSeries(("u",), [0, 1, 2], [[0], [1], [1]])
+    assert abs(simulate(dae, solver="dop853", inputs=inputs).final["x"] - 1) < 1e-6
+    calls = []
+
+    def interrupted(*args, **options):
+        reached = scaled_call(*args, **options)
+        calls.append(reached)
+        return replace(reached, reason=INTERRUPTED) if len(calls) == 1 else reached
+
+    monkeypatch.setattr("cosim.integrate.location.scaled_call", interrupted)
+    with pytest.raises(Interrupted):
+        simulate(dae, solver="dop853", inputs=inputs)
+    assert len(calls) == 1
+    assert len(calls[0].events) == 1
 
 
 def test_interrupted_command_writes_what_it_has(tmp_path):

@@ -255,9 +255,9 @@ class _Course:
             rows = grid[self.next :][grid[self.next :] < end]
             piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
             earlier = self._rest_after(piece.passed, series, end)
-            if self.kernel is None or earlier >= end:
+            if self.kernel is None or piece.reason == INTERRUPTED or earlier >= end:
                 break
-            self.kernel.switching.numbers[:] = left
+            self.kernel.switching.numbers[:] = left  # again, up to there
             end = rest = earlier
         self._pass(piece)
         found = None if piece.reason == INTERRUPTED else located(piece)
