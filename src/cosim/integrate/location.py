@@ -227,7 +227,10 @@ class Piece:
         times = np.linspace(self.times[k], self.times[k + 1], len(_INNER) + 2)
         problem = replace(self.problem, times=times.tobytes())
         known = self.solver, begin, self.began, self.p, self.kernel
-        return Piece(self.system, self.own, problem, *known)
+        found = Piece(self.system, self.own, problem, *known)
+        if found.reason == INTERRUPTED:
+            raise KeyboardInterrupt
+        return found
 
     def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
         """Return states and unknowns at a time after the k-th one, or None where that fails."""
