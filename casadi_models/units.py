@@ -223,8 +223,9 @@ PREFIXED = (
 _LETTERS = r"[A-Za-z\u00b0\u03a9\u00b5\u03bc%]+"
 _FACTOR = re.compile(rf"({_LETTERS})(?:(?:\^|\*\*)?([-+]?\d{{1,2}})(?!\d))?|1(?![\d^*])")
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
-_BRACKETS = re.compile(r"\(([^()/]*)\)(?=\s*(?:/|$))")
-_BY_A_QUOTIENT = re.compile(r"(.*)/\s*\(([^()/]*)/([^()/]*)\)\s*")
+_ENDS = r"(?=\s*(?:/|$))"  # no power or factor may follow
+_BRACKETS = re.compile(rf"\(([^()/]*)\){_ENDS}")
+_BY_A_QUOTIENT = re.compile(rf"(.*)/\s*\(([^()/]*)/([^()/]*)\){_ENDS}")
 
 
 def single_unit(name: str) -> Unit | None:

@@ -153,9 +153,10 @@ def test_units_of_models_are_those_that_people_type(value, unit, target, expecte
 
 
 AMBIGUOUS = ["W/(m.K).s", "(m", "m)", "kkg", "kdeg", "mrpm", "k", "kdegC", "m/(s", "m/(/s)", "mhp"]
+BEHIND_A_QUOTIENT = ["N/(m/s)^2", "N/(m/s)2", "N.m/(rad/s)**2", "N/(m/s).kg"]
 
 
-@pytest.mark.parametrize("unit", [*AMBIGUOUS, "g0", "t"])  # t is the time of formulas
+@pytest.mark.parametrize("unit", [*AMBIGUOUS, *BEHIND_A_QUOTIENT, "g0", "t"])  # t: time of formulas
 def test_unit_that_can_be_read_in_two_ways_or_has_a_wrong_prefix_is_unknown(unit):
     assert parse_unit(unit) is None
 
