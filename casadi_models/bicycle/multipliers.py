@@ -26,9 +26,8 @@ def build() -> Dae:
 
     # In N, so that the multipliers are the components of the ground's force
     system = replace(moving.system, constraints=moving.C_to_N @ moving.W_to_C @ moving.slip)
-    slip = system.with_held_at_zero(
-        system.constraints
-    )  # its part along N3 is the rate of the closure
+    # its part along N3 is the rate of the closure
+    slip = system.with_held_at_zero(system.constraints)
     closing = 2 * rate * slip + ca.vertcat(0, 0, rate**2 * moving.closure)
     residual = kane.multiplier_equations(system, u_dot, front)
     model.equation(residual + ca.vertcat(SX.zeros(u.numel()), closing))
