@@ -168,20 +168,19 @@ class _Course:
         span = float(self.grid[-1] - self.grid[0])
         sizes = own_sizes(self.system.dae, self.began)
         self.kernel = Kernel(self.system, self.values.p, sizes, span, float(self.grid[-1]))
-        at = self.at
-        ending = self.kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes)
+        ending = self.kernel.begin(self.at)
         if ending.reason is Reason.STOPPED:
             event = self.system.events[ending.part]
             raise UsageError(
                 f"{self.dae.full_name}: {event.name} '{event.message}' is true at the start "
                 "already; give a condition that becomes true later"
             )
-        reject(self.system, at.t, ending, "")
-        self.at = self.kernel.after(at)
+        reject(self.system, self.at.t, ending, "")
+        self.at = self.kernel.after(self.at)
         if self.system.events:
             self._switch(self.at)
         else:
-            self.kernel.plan(self.at.t, self.at.inputs)
+            self.kernel.plan(self.at)
 
     def run(self) -> Motion:
         """Run to the end of the grid, or to an event that ends the run."""
@@ -391,14 +390,14 @@ class _Course:
             slid = self.at.sliding if (at.u == self.at.u).all() else frozenset[int]()
             self.at, happened = crossed(self.kernel, self.values.p, at, first, slid)
         else:
-            happened = self.kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first)
+            happened = self.kernel.happen(at, first)
             self.at = self.kernel.after(at)
         switched = happened.zero | at.switched(self.at)
         instant = Passed(at, self.at, happened.events, happened.zero)
         self._record([instant])
         self._end(happened.ending, switched)
         if happened.replan:
-            self.kernel.plan(self.at.t, self.at.inputs)
+            self.kernel.plan(self.at)
         self._write(self.at.t)
 
     def _record(self, passed: Sequence[Passed]) -> None:

@@ -214,49 +214,33 @@ class Kernel:
         for name, array in self._arrays.items():
             setattr(self._call, name, array.ctypes.data)
 
-    def _pass(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> None:
-        self._call.t = t
-        for name, values in (("x", x), ("z", z), ("u", u), ("slopes", slopes)):
+    def _pass(self, at: Instant) -> None:
+        self._call.t = at.t
+        for name, values in (("x", at.x), ("z", at.z), ("u", at.inputs), ("slopes", at.slopes)):
             self._arrays[name][: len(values)] = values
 
-    @property
-    def values(self) -> tuple[Vector, Vector, Vector]:
-        """States, algebraic unknowns, and inputs with modes, after the last call."""
-        x, z, u = (self._arrays[name][:-1].copy() for name in ("x", "z", "u"))
-        return x, z, u
-
-    def begin(self, t: float, x: Vector, z: Vector, u: Vector, slopes: Vector) -> Outcome:
-        """Find the modes of a start; `values` holds them.
-
-        Args:
-            t: Time, s.
-            x, z: States, and a guess of the algebraic unknowns.
-            u, slopes: Inputs with modes, and their time derivatives.
-        """
-        self._pass(t, x, z, u, slopes)
+    def begin(self, at: Instant) -> Outcome:
+        """Find the modes of a start, with a guess of its algebraic unknowns; see `after`."""
+        self._pass(at)
         self._library.cosim_begin(ctypes.byref(self._call))
         return self._ending()
 
     def happen(
         self,
-        t: float,
-        x: Vector,
-        z: Vector,
-        u: Vector,
-        slopes: Vector,
+        at: Instant,
         crossing: int = -1,
         listener: Listener | None = None,
         later: frozenset[int] = frozenset(),
     ) -> Happening:
-        """Let all happen that happens at an instant; `values` holds what follows.
+        """Let all happen that happens at an instant; see `after`.
 
         Args:
-            t, x, z, u, slopes: See `begin`.
+            at: Just before it, with the inputs just after it.
             crossing: A relation whose argument is 0 there; -1 for none.
             listener: Called in each round with the values before it, and its events.
             later: Relations that keep their modes, although their arguments are 0.
         """
-        self._pass(t, x, z, u, slopes)
+        self._pass(at)
         sizes = [len(self._arrays[name]) - 1 for name in ("z", "u", "x", "order")]
 
         def note(*places: "ctypes._Pointer[ctypes.c_double]") -> None:
@@ -279,7 +263,7 @@ class Kernel:
 
     def note_rounding(self, at: Instant) -> None:
         """Take what rounding makes of slow relations at an instant."""
-        self._pass(at.t, at.x, at.z, at.inputs, at.slopes)
+        self._pass(at)
         self._library.cosim_note_least(ctypes.byref(self._call))
 
     def note_steps(self, steps: int) -> None:
@@ -293,18 +277,13 @@ class Kernel:
 
     def after(self, at: Instant) -> Instant:
         """Return what an instant has become by the last call."""
-        x, z, u = self.values
+        x, z, u = (self._arrays[name][:-1].copy() for name in ("x", "z", "u"))
         return replace(at, x=x, z=z, modes=u[len(at.u) :], sliding=self.switching.sliding)
 
-    def plan(self, t: float, u: Vector) -> None:
-        """Plan the time events that follow.
-
-        Args:
-            t: The present time, s.
-            u: Inputs with modes.
-        """
-        self._call.t = t
-        self._arrays["u"][:-1] = u
+    def plan(self, at: Instant) -> None:
+        """Plan the time events that follow an instant."""
+        self._call.t = at.t
+        self._arrays["u"][:-1] = at.inputs
         self._library.cosim_plan(ctypes.byref(self._call), self._end)
 
     @property
@@ -424,9 +403,9 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, 
     plain = _without_rules(system)
     nominal = np.array([variable.nominal for variable in system.dae.states])
     kernel = Kernel(plain, p, nominal, 1.0)
-    reject(plain, at.t, kernel.begin(at.t, at.x, at.z, at.inputs, at.slopes), "")
+    reject(plain, at.t, kernel.begin(at), "")
     at = kernel.after(at)
-    found = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes)  # what is 0 but for rounding
+    found = kernel.happen(at)  # what is 0 but for rounding
     reject(plain, at.t, found.ending, "")
     at = kernel.after(at)
     arguments = at.watched(plain, p).arguments[0]

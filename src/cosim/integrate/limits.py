@@ -20,6 +20,7 @@ from cosim.arrays import Truths, Vector
 from cosim.errors import MissingTool
 from cosim.integrate.call import call_on_arrays
 from cosim.integrate.kernel import Kernel, Rows
+from cosim.integrate.modes import Instant
 from cosim.integrate.motion import Motion
 from cosim.memo import cached_per_thread
 
@@ -172,8 +173,8 @@ class _Search:
         rows, margins = self._rows(motion.with_sides())
         t = rows.times
         kernel = self.kernel
-        ones = np.ones(margins.shape[1])
-        kernel.begin(float(t[0]), rows.x[0], np.empty(0), ones, 0 * ones)
+        ones, none = np.ones(margins.shape[1]), np.empty(0)
+        kernel.begin(Instant(float(t[0]), rows.x[0], none, none, none, ones))
         rows = rows._replace(inside=kernel.switching.slack + margins)
         outside = ~(margins > 0)
         times = np.full(len(ones), np.inf)

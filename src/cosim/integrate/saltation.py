@@ -54,7 +54,7 @@ def crossed(
         SolverError: Events happen at one time, and the derivatives depend on their order.
     """
     switching = kernel.switching.numbers.copy()
-    zero = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, first).zero
+    zero = kernel.happen(at, first).zero
     kernel.switching.numbers[:] = switching
     order = sorted(zero | ({first} if first >= 0 else frozenset()))
     if len(order) < 2:
@@ -114,7 +114,7 @@ def _one(
                 derivative[place] = change[row] + (derivative - before)[place] * adds
                 given.add(place)
 
-    happened = kernel.happen(at.t, at.x, at.z, at.inputs, at.slopes, i, note, later)
+    happened = kernel.happen(at, i, note, later)
     after = kernel.after(at)
     x = after.x.copy()
     x[nx : 2 * nx] = derivative
