@@ -83,6 +83,20 @@ def test_a_number_with_a_name_that_the_results_have_is_rejected(name, stored, tm
         cosim.sweep("crank_shaft", {"alpha": [5.0]}, keep=keep, stop_time=1, workers=0, **target)
 
 
+@pytest.mark.parametrize(
+    ("kept", "name"), [("statistics", "omega_over_runs_mean"), ("trajectories", "omega_start")]
+)
+def test_a_number_does_not_replace_statistics_or_varied_values(kept, name, tmp_path):
+    """The function's 7 replaced the values that were varied, and statistics replaced it."""
+
+    def own(run):
+        return {name: 7.0}
+
+    for target in ({}, {"store": tmp_path / "store"}):
+        with pytest.raises(UsageError, match=f"a function of keep returns '{name}', which"):
+            cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=[kept, own], workers=0, **target)
+
+
 def test_levels_that_are_close_are_different_numbers():
     """omega = 50 + alpha t crosses each level at its own time."""
     levels = (51.0, 51.0000001, 51.0000002, 51.5, 1e6)

@@ -296,6 +296,11 @@ class Store:
         self._add(name, ("run",), np.nan, {})
         self.numbers.append(name)
 
+    @property
+    def taken(self) -> frozenset[str]:
+        """Names that the number of a user's function cannot have."""
+        return frozenset({"run", "blocks", *self._variables} - {*self.numbers})
+
     def _in_blocks(self) -> list[str]:
         """Return the arrays of results whose chunks are blocks."""
         others = {_DIGESTS, *self.layout.varied.values()}

@@ -313,7 +313,6 @@ def sweep(
         manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded),
         {name: opened.own_unit(name) for name in chosen.columns},
     )  # fmt: skip
-    job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
         if scheduler is not None:  # this process waits for workers, which end with it
             held.enter_context(ended_by_signals())
@@ -321,6 +320,7 @@ def sweep(
             results = Store(layout)
         else:
             results = held.enter_context(Store.opened(layout, folder, resume=resume))
+        job = Job(opened, recorded, len(time), stored, results.taken, processors())
         _fill(results, job, scheduler, workers, progress)
     return SweepResult.of(results)
 
