@@ -164,7 +164,7 @@ class SweepResult:
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
-        values = np.column_stack([self.data.row(column.name, i)[:n] for column in self.columns])
+        values = np.column_stack([self.data.read(column.name, i)[:n] for column in self.columns])
         return Trajectory(self.model, self.time[:n], self.columns, values, {}, status)
 
     def _need_trajectories(self) -> None:
