@@ -14,24 +14,33 @@ MADE = dedent(
     """
     import numpy as np
     LEVEL, TABLE, FACTORS = {level}, np.linspace(0, {end}, 2001) ** 2, [1.0, {factor}]
+    WEIGHT, ROW = {weight}, [1.0]
+    ROWS = [ROW] * {rows}
+    def weighted(run):
+        return max(WEIGHT * x for x in run["x"])
     def helper(run):
         return [{power} * x for x in FACTORS]
     def outer(inner):
         def function(run, default={default}, *, word={word!r}):
-            return {{"a": np.{call}(run["x"]) + LEVEL, "b": TABLE[inner], "c": helper(run)}}
+            found = {{"a": np.{call}(run["x"]) + LEVEL, "b": TABLE[inner], "c": helper(run)}}
+            return found | {{"d": len(ROWS), **{{name: weighted(run) for name in "ef"}}}}
         return function
-    class Counting:
+    class Base:
+        SHARE = {share}
+        def doubled(self, n):
+            return {twice} * n
+    class Counting(Base):
         def __init__(self, start):
             self.start = start
         def __call__(self, run):
             return {{"n": self.start + {power}}}
         def method(self, run):
-            return {{"m": self.start}}
+            return {{"m": self.doubled(self.start) + self.SHARE}}
     """
 )
 USUAL = {
     **{"level": 0.5, "end": 1, "factor": 2.0, "power": 3, "default": 1, "word": "a"},
-    **{"call": "max", "inner": 4, "start": 7},
+    **{"call": "max", "inner": 4, "start": 7, "weight": 5, "rows": 2, "share": 6, "twice": 2},
 }
 
 
@@ -52,6 +61,8 @@ def made(kind, **changed):
     ("kind", "changed"),
     [
         *(("function", {name: 9}) for name in ("level", "end", "factor", "power", "default")),
+        *(("function", {name: 9}) for name in ("weight", "rows")),
+        *((kind, {name: 9}) for kind in ("method", "object") for name in ("share", "twice")),
         *(("function", changed) for changed in ({"word": "b"}, {"call": "min"}, {"inner": 5})),
         *((kind, {"start": 8}) for kind in ("method", "object")),
         *(("partial", {"inner": 9}), ("object", {"power": 4})),

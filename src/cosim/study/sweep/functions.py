@@ -18,19 +18,30 @@ def function_name(function: Any) -> str:
     parts = [function]
     if not isinstance(function, FunctionType | partial):  # a method, or an object with __call__
         owner = getattr(function, "__self__", function)
-        call = getattr(function, "__func__", vars(type(function)).get("__call__"))
-        parts = [call, getattr(owner, "__dict__", None)]
-    return f"{name} {digest_of(map(str.encode, _facts(parts, set())))[:16]}"
+        call = getattr(function, "__func__", None)
+        parts = [call, getattr(owner, "__dict__", None), *map(_members, type(owner).__mro__)]
+    return f"{name} {digest_of(map(str.encode, _facts(parts, {})))[:16]}"
 
 
-def _facts(value: Any, known: set[int]) -> Iterator[str]:
+def _members(kind: type) -> dict[str, Any]:
+    """Return the methods and values of a class, without what Python adds."""
+    return {
+        name: value
+        for name, value in vars(kind).items()
+        if isinstance(value, FunctionType) or not name.startswith("__")
+    }
+
+
+def _facts(value: Any, known: dict[int, int]) -> Iterator[str]:
     """Yield texts that are the same in every process; of values of other types, their type."""
     if isinstance(value, _PLAIN):
         yield repr(value)
     elif isinstance(value, np.ndarray | np.generic) and value.dtype != object:
         yield f"{value.dtype} {value.shape} {digest_of((value.tobytes(),))}"
-    elif id(value) not in known:
-        known.add(id(value))
+    elif id(value) in known:
+        yield f"again {known[id(value)]}"
+    else:
+        known[id(value)] = len(known)
         yield type(value).__qualname__
         for part in _parts(value):
             yield from _facts(part, known)
@@ -42,7 +53,7 @@ def _parts(value: Any) -> Iterator[Any]:
     elif isinstance(value, FunctionType):
         yield from (value.__code__, value.__defaults__, value.__kwdefaults__)
         yield from (cell.cell_contents for cell in value.__closure__ or ())
-        for name in value.__code__.co_names:
+        for name in _names(value.__code__):
             used = value.__globals__.get(name)
             # not what it imports: a package is known by its name
             if getattr(used, "__module__", value.__module__) == value.__module__:
@@ -55,3 +66,11 @@ def _parts(value: Any) -> Iterator[Any]:
         yield from (one for item in value.items() for one in item)
     elif isinstance(value, frozenset | set):
         yield from sorted(map(repr, value))
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Yield the names that a function and those within it look up, as of a comprehension."""
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _names(inner)
