@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -71,21 +72,23 @@ def linearized(
     over = None
     if period is not None:
         over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
-
-    def motion(x: Vector) -> tuple[Vector, Vector]:
-        if over is not None:
-            after = over(x)
-            return (after.x - x) / over.period, (after.by_x - np.eye(len(x))) / over.period
-        own, u, _ = followed(dae, 0.0, x, values)
-        rates, _, jacobian = at_point(own, (), 0.0, x, replace(values, u=u))
-        return rates, jacobian[: len(x), : len(x)]
-
     if at == EQUILIBRIUM:
+        motion = partial(_motion, dae, values, over)
         depends, kind, accuracy = influence(dae), "equilibrium", AT_REST
         if over is not None:
             depends, kind, accuracy = over.influence, "periodic motion", ACCURACY / over.period
         x, point = equilibrium(dae, x, values, motion, depends, kind, accuracy)
     return _linear_system(dae, names, time, x, values, point, over)
+
+
+def _motion(dae: Dae, values: Values, over: PeriodMap | None, x: Vector) -> tuple[Vector, Vector]:
+    """Return rates, or their mean over a period, and their derivatives by the states."""
+    if over is not None:
+        after = over(x)
+        return (after.x - x) / over.period, (after.by_x - np.eye(len(x))) / over.period
+    own, u, _ = followed(dae, 0.0, x, values)
+    rates, _, jacobian = at_point(own, (), 0.0, x, replace(values, u=u))
+    return rates, jacobian[: len(x), : len(x)]
 
 
 def _linear_system(
