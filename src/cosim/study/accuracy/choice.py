@@ -164,7 +164,8 @@ class _Chooser:
         """
         least = dict[str, float]()
         for done in runs:
-            least[done.candidate.solver] = done.candidate.tolerance
+            solver, tolerance = done.candidate.solver, done.candidate.tolerance
+            least[solver] = min(tolerance, least.get(solver, tolerance))
         tighter = [
             one
             for one in self.candidates.every
