@@ -59,8 +59,7 @@ def values_of(
     Raises:
         CosimError: A name does not exist, a value does not fit, or a variable takes none.
     """
-    if not isinstance(given, Mapping):
-        raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
+    UsageError.reject("start_values", given, Mapping, "values by name, e.g. {'a.x': 1}")
     found = dict[tuple[str, str], float]()
     for name, value in given.items():
         key, ends, unit, units = target(parts, connectors, name)

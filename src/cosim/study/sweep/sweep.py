@@ -139,8 +139,7 @@ class SweepResult:
         Raises:
             UnknownName: There is neither of that name.
         """
-        if name not in self.names:
-            raise UnknownName.among("sweep", "number", name, self.names)
+        UnknownName.reject("sweep", "number", self.names, name)
         return self.numbers[name] if name in self.numbers else self.samples.columns[name]
 
     @cached_property
