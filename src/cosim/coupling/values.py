@@ -71,7 +71,9 @@ def values_of(
         pairs = [*zip(ends, variables, strict=True)]
         other = next((v for end, v in pairs if end.is_same and v.type not in REALS), None)
         if other is None:
-            plain = _plain(key, value, unit, units)
+            if isinstance(value, str):
+                value = quantity(".".join(key), value, unit or "1", definitions=units)
+            plain = number(*key, value)
         else:
             plain = value_of_text(key[0], other, value)
             plain = int(plain) if isinstance(plain, bool) else plain
@@ -79,12 +81,3 @@ def values_of(
             own = plain if end.is_same else end.factor * plain + end.offset
             found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
-
-
-def _plain(
-    key: tuple[str, str], value: object, unit: str | None, units: Mapping[str, Unit]
-) -> float:
-    """Return a value in a unit, which a text may name; `key` is its owner and its name."""
-    if isinstance(value, str):
-        value = quantity(".".join(key), value, unit or "1", definitions=units)
-    return number(*key, value)
