@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from casadi_models.units import Unit
-from cosim.coupling.connectors import Connector, End
+from cosim.coupling.connectors import Connector, End, transformed
 from cosim.coupling.part import Part, split_name
 from cosim.errors import UsageError
 from cosim.fmi.run.typed_values import REALS, typed_value, value_of_text
@@ -78,6 +78,6 @@ def values_of(
             plain = value_of_text(key[0], other, value)
             plain = int(plain) if isinstance(plain, bool) else plain
         for end, variable in pairs:
-            own = plain if end.is_same else end.factor * plain + end.offset
+            own = transformed(plain, end.factor, end.offset)
             found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
