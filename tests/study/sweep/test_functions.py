@@ -36,6 +36,9 @@ MADE = dedent(
             return {{"n": self.start + {power}}}
         def method(self, run):
             return {{"m": self.doubled(self.start) + self.SHARE}}
+        @classmethod
+        def of_all(cls, run):
+            return {{"c": cls.doubled(cls, cls.SHARE)}}
     """
 )
 USUAL = {
@@ -53,6 +56,8 @@ def made(kind, **changed):
         return script["outer"](facts["inner"])
     if kind == "partial":
         return partial(script["outer"](1), default=facts["inner"])
+    if kind == "classmethod":
+        return script["Counting"].of_all
     counting = script["Counting"](facts["start"])
     return counting.method if kind == "method" else counting
 
@@ -62,7 +67,7 @@ def made(kind, **changed):
     [
         *(("function", {name: 9}) for name in ("level", "end", "factor", "power", "default")),
         *(("function", {name: 9}) for name in ("weight", "rows")),
-        *((kind, {name: 9}) for kind in ("method", "object") for name in ("share", "twice")),
+        *((k, {n: 9}) for k in ("method", "object", "classmethod") for n in ("share", "twice")),
         *(("function", changed) for changed in ({"word": "b"}, {"call": "min"}, {"inner": 5})),
         *((kind, {"start": 8}) for kind in ("method", "object")),
         *(("partial", {"inner": 9}), ("object", {"power": 4})),

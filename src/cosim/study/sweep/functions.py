@@ -19,7 +19,8 @@ def function_name(function: Any) -> str:
     if not isinstance(function, FunctionType | partial):  # a method, or an object with __call__
         owner = getattr(function, "__self__", function)
         call = getattr(function, "__func__", None)
-        parts = [call, getattr(owner, "__dict__", None), *map(_members, type(owner).__mro__)]
+        kind = owner if isinstance(owner, type) else type(owner)
+        parts = [call, getattr(owner, "__dict__", None), *map(_members, kind.__mro__)]
     return f"{name} {digest_of(map(str.encode, _facts(parts, {})))[:16]}"
 
 
