@@ -59,6 +59,8 @@ def made(kind, **changed):
     if kind == "classmethod":
         return script["Counting"].of_all
     counting = script["Counting"](facts["start"])
+    if kind == "partial of a method":
+        return partial(counting.method, 1)
     return counting.method if kind == "method" else counting
 
 
@@ -70,6 +72,7 @@ def made(kind, **changed):
         *((k, {n: 9}) for k in ("method", "object", "classmethod") for n in ("share", "twice")),
         *(("function", changed) for changed in ({"word": "b"}, {"call": "min"}, {"inner": 5})),
         *((kind, {"start": 8}) for kind in ("method", "object")),
+        *(("partial of a method", {name: 9}) for name in ("start", "share", "twice")),
         *(("partial", {"inner": 9}), ("object", {"power": 4})),
     ],
     ids=str,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
@@ -15,34 +15,30 @@ _PLAIN = bool | int | float | complex | str | bytes | None
 def function_name(function: Any) -> str:
     """Return the name of a function and a digest of its code and of the values that it uses."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    parts = [function]
-    if not isinstance(function, FunctionType | partial):  # a method, or an object with __call__
-        owner = getattr(function, "__self__", function)
-        call = getattr(function, "__func__", None)
-        kind = owner if isinstance(owner, type) else type(owner)
-        parts = [call, getattr(owner, "__dict__", None), *map(_members, kind.__mro__)]
+    is_plain = isinstance(function, FunctionType | MethodType | partial)
+    parts = [function] if is_plain else [*_of_object(function)]  # with a method __call__
     return f"{name} {digest_of(map(str.encode, _facts(parts, {})))[:16]}"
 
 
-def _members(kind: type) -> dict[str, Any]:
-    """Return the methods and values of a class, without what Python adds."""
-    return {
-        name: value
-        for name, value in vars(kind).items()
-        if isinstance(value, FunctionType) or not name.startswith("__")
-    }
+def _of_object(owner: Any) -> Iterator[Any]:
+    """Yield the values of an object, and methods and values of its class."""
+    yield getattr(owner, "__dict__", None)
+    for kind in (owner if isinstance(owner, type) else type(owner)).__mro__:
+        for name, value in vars(kind).items():
+            if isinstance(value, FunctionType) or not name.startswith("__"):
+                yield from (name, value)
 
 
-def _facts(value: Any, known: dict[int, int]) -> Iterator[str]:
+def _facts(value: Any, known: dict[int, tuple[int, Any]]) -> Iterator[str]:
     """Yield texts that are the same in every process; of values of other types, their type."""
     if isinstance(value, _PLAIN):
         yield repr(value)
     elif isinstance(value, np.ndarray | np.generic) and value.dtype != object:
         yield f"{value.dtype} {value.shape} {digest_of((value.tobytes(),))}"
     elif id(value) in known:
-        yield f"again {known[id(value)]}"
+        yield f"again {known[id(value)][0]}"
     else:
-        known[id(value)] = len(known)
+        known[id(value)] = len(known), value  # which keeps its id
         yield type(value).__qualname__
         for part in _parts(value):
             yield from _facts(part, known)
@@ -59,6 +55,9 @@ def _parts(value: Any) -> Iterator[Any]:
             # not what it imports: a package is known by its name
             if getattr(used, "__module__", value.__module__) == value.__module__:
                 yield used
+    elif isinstance(value, MethodType):
+        yield value.__func__
+        yield from _of_object(value.__self__)
     elif isinstance(value, partial):
         yield from (value.func, value.args, value.keywords)
     elif isinstance(value, tuple | list):
