@@ -192,7 +192,9 @@ def runs_of(
     worst = 0
     for source in args.sources:
         if source.endswith(".csv"):
-            runs.append(read_result(source, args.shown_model))
+            model = args.shown_model
+            like = None if model is None else model_columns(load(model))
+            runs.append(Trajectory.read_csv(source, like=like))
             scenes.append(None)
             continue
         for one in single(args, source):
@@ -210,13 +212,6 @@ def runs_of(
                 scenes.append(scene)
             worst = max(worst, code)
     return runs, scenes, worst
-
-
-def read_result(path: str, model: str | None) -> Trajectory:
-    """Read a result from a CSV file; a model gives units and meanings."""
-    if model is None:
-        return Trajectory.read_csv(path)
-    return Trajectory.read_csv(path, like=model_columns(load(model)))
 
 
 def model_columns(dae: Dae) -> Trajectory:

@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -306,7 +306,11 @@ class CoSimulation:
         def done() -> float:
             return float((system.c.time - settings.start) / span)
 
-        with system, doing("solving", done), interruptible(coupling_library()) as interrupts:
+        with (
+            closing(system),
+            doing("solving", done),
+            interruptible(coupling_library()) as interrupts,
+        ):
             if system.begin():
                 system.advance(settings.stop)
         run = self._result(system, settings, rows, bool(interrupts))

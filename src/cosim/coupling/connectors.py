@@ -23,6 +23,11 @@ class End(NamedTuple):
         return (self.factor, self.offset) == (1.0, 0.0)
 
 
+def transformed(number: float, factor: float, offset: float) -> float:
+    """Return factor * number + offset; an integer that stays the same is not rounded."""
+    return number if (factor, offset) == (1.0, 0.0) else factor * number + offset
+
+
 @dataclass(frozen=True)
 class Connector:
     """A connector of a whole system.

@@ -116,8 +116,7 @@ def couple_within(
             if wires[-1].input in driven:
                 raise UsageError(f"{sink} is connected twice, by two of its names; drop one")
             driven.add(wires[-1].input)
-    if not isinstance(start_values, Mapping):
-        raise UsageError.of_type("start_values", start_values, "values by name, e.g. {'a.x': 1}")
+    UsageError.reject("start_values", start_values, Mapping, "values by name, e.g. {'a.x': 1}")
     values = dict[tuple[str, str], float]()
     for name, value in start_values.items():
         with within("start_values", name):

@@ -44,7 +44,7 @@ class Rows:
 
 
 class OpenSystem:
-    """A run of coupled parts; a context manager that closes it.
+    """A run of coupled parts, which whoever opens it closes.
 
     Args:
         wiring: Its parts, which begin a new run, and their connections.
@@ -131,12 +131,6 @@ class OpenSystem:
             at_jumps=self.jumps.ctypes.data,
             called=ctypes.addressof(called),
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Free what the run needs; the instances of the parts stay."""

@@ -39,7 +39,7 @@ class Ability(StrEnum):
 
 
 def unused_abilities(
-    parts: Iterable[str], abilities: Mapping[str, str]
+    parts: Collection[str], abilities: Mapping[str, str]
 ) -> dict[str, tuple[Ability, ...]]:
     """Return the abilities that texts such as "no rates, no rollback" switch off, by part.
 
@@ -47,19 +47,14 @@ def unused_abilities(
         UnknownName, UsageError: A part or an ability does not exist, or a text is none.
     """
     example = "texts by part, e.g. {'motor': 'no rates'}"
-    if not isinstance(abilities, Mapping):
-        raise UsageError.of_type("abilities", abilities, example)
+    UsageError.reject("abilities", abilities, Mapping, example)
     found = dict[str, tuple[Ability, ...]]()
     known = {f"no {ability}": ability for ability in Ability}
     for name, text in abilities.items():
-        if name not in parts:
-            raise UnknownName.among("the system", "part", name, parts)
-        if not isinstance(text, str):
-            raise UsageError.of_type(f"abilities of part '{name}'", text, example)
+        UnknownName.reject("the system", "part", parts, name)
+        UsageError.reject(f"abilities of part '{name}'", text, str, example)
         words = [word.strip() for word in text.split(",")]
-        for word in words:
-            if word not in known:
-                raise UnknownName.among(f"part '{name}'", "ability to switch off", word, known)
+        UnknownName.reject(f"part '{name}'", "ability to switch off", known, *words)
         found[name] = tuple(known[word] for word in words)
     return found
 

@@ -100,8 +100,7 @@ class Part:
         Raises:
             UnknownName: The part has none of this name.
         """
-        if name not in self.variables:
-            raise UnknownName.among(f"part '{self.name}'", "variable", name, self.variables)
+        UnknownName.reject(f"part '{self.name}'", "variable", self.variables, name)
         return self.variables[name]
 
     def numbers(self, name: str) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from casadi_models.units import Unit
-from cosim.coupling.connectors import Connector, End
+from cosim.coupling.connectors import Connector, End, transformed
 from cosim.coupling.part import Part, split_name
 from cosim.errors import UsageError
 from cosim.fmi.run.typed_values import REALS, typed_value, value_of_text
@@ -59,8 +59,7 @@ def values_of(
     Raises:
         CosimError: A name does not exist, a value does not fit, or a variable takes none.
     """
-    if not isinstance(given, Mapping):
-        raise UsageError.of_type("start_values", given, "values by name, e.g. {'a.x': 1}")
+    UsageError.reject("start_values", given, Mapping, "values by name, e.g. {'a.x': 1}")
     found = dict[tuple[str, str], float]()
     for name, value in given.items():
         key, ends, unit, units = target(parts, connectors, name)
@@ -72,20 +71,13 @@ def values_of(
         pairs = [*zip(ends, variables, strict=True)]
         other = next((v for end, v in pairs if end.is_same and v.type not in REALS), None)
         if other is None:
-            plain = _plain(key, value, unit, units)
+            if isinstance(value, str):
+                value = quantity(".".join(key), value, unit or "1", definitions=units)
+            plain = number(*key, value)
         else:
             plain = value_of_text(key[0], other, value)
             plain = int(plain) if isinstance(plain, bool) else plain
         for end, variable in pairs:
-            own = plain if end.is_same else end.factor * plain + end.offset
+            own = transformed(plain, end.factor, end.offset)
             found[end.variable] = typed_value(end.variable[0], variable, own)
     return found
-
-
-def _plain(
-    key: tuple[str, str], value: object, unit: str | None, units: Mapping[str, Unit]
-) -> float:
-    """Return a value in a unit, which a text may name; `key` is its owner and its name."""
-    if isinstance(value, str):
-        value = quantity(".".join(key), value, unit or "1", definitions=units)
-    return number(*key, value)

@@ -346,7 +346,7 @@ def _panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory])
 
 
 def _difference_panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory]) -> None:
-    """Draw each further run minus the first one; of a path, both coordinates."""
+    """Draw each further run minus the first one, of a path both coordinates; name what is zero."""
     names = spec.panels[index]
     legends = spec.legends[index] if spec.legends else names
     if spec.x != "time":
@@ -357,14 +357,7 @@ def _difference_panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[T
             gap = _displayed(other, name, first) - _displayed(runs[0], name, first)
             look = _look(i, len(names), k, len(runs))
             axis.plot(runs[0].time, gap, linewidth=0.9, label=legend if k == 1 else "", **look)
-    _difference_axis(axis, first.shown_unit)
-    if len(names) > 1:
-        axis.legend()
-
-
-def _difference_axis(axis: Axes, unit: str) -> None:
-    """Label an axis with differences; name those that are zero."""
-    axis.set_ylabel(_beside("difference", unit, 16))
+    axis.set_ylabel(_beside("difference", first.shown_unit, 16))
     if not any(np.any(line.get_ydata()) for line in axis.lines):
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
@@ -373,6 +366,8 @@ def _difference_axis(axis: Axes, unit: str) -> None:
         axis.ticklabel_format(axis="y", scilimits=(-2, 3), useOffset=False)
     axis.set_xlabel("time [s]")
     axis.margins(x=0)
+    if len(names) > 1:
+        axis.legend()
 
 
 def _name_invalid(

@@ -4,7 +4,7 @@ import ctypes
 import hashlib
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
@@ -116,7 +116,7 @@ class SystemSession(Life):
         self._selections: dict[Any, tuple[list[Any], Vector, Vector]] = {}
         with self._system.naming_files():
             run = self._instances.opened(settings, values, self._called, ends=self._ends)
-            self._run = self._begun.enter_context(run)
+            self._run = self._begun.enter_context(closing(run))
             self._clock = Clock(settings.start, settings.start)
             with interruptible(coupling_library()) as interrupts:
                 run.begin()

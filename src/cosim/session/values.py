@@ -111,8 +111,7 @@ class Values:
         """Prepare the calls that read variables."""
         chosen = self.outputs if names is None else listed(f"{self._name}: get", names)
         for name in chosen:
-            if name not in self._variables:
-                raise UnknownName.among(self._name, "variable", name, self._variables)
+            UnknownName.reject(self._name, "variable", self._variables, name)
             if not is_number(self._variables[name]):
                 raise UsageError(f"{self._name}: {name} is not a single number")
         if len(self._selections) >= _LARGEST:

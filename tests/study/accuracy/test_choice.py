@@ -22,8 +22,9 @@ from cosim.integrate import events
 from cosim.integrate.call import RunStats
 from cosim.solvers import Goal
 from cosim.study.accuracy import choice
-from cosim.study.accuracy.candidates import Candidate, measured_candidates
+from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
 from cosim.study.accuracy.choice import report
+from cosim.text import EndKind
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
 
@@ -421,3 +422,37 @@ def test_run_that_no_solver_completes_says_what_to_do(goal):
     model.derivative(x, x * x)
     with pytest.raises(SolverError, match=r"and .* fail: .* at t = 1, .*; request a shorter run"):
         simulate(model.freeze(), stop_time=2.0, **goal)
+
+
+def test_next_tolerance_is_below_all_that_a_solver_has_had():
+    """Predicted errors need not fall with the tolerance; the run at 1e-9 would tell nothing new."""
+    every = [
+        Candidate("erk", tolerance, {}, 0.0, 0, 0.0) for tolerance in (1e-8, 1e-9, 1e-10, 1e-11)
+    ]
+    chooser = choice._Chooser(None, Candidates(tuple(every), {}), ())
+    runs = [choice.CandidateRun(every[2], None), choice.CandidateRun(every[0], None)]
+    assert chooser.with_smaller_tolerance(runs, 0.1, ()) == every[3]
+
+
+@pytest.mark.slow_rows("accuracy")
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        ({"accuracy": 1e-6, "compiled": False}, "is not reached: .* and .* fail"),
+        ({"budget": 60.0}, "descriptor: .* fails?"),
+    ],
+    ids=("accuracy", "budget"),
+)
+def test_model_that_no_solver_runs_says_so(goal, said, monkeypatch):
+    """Without compiler two solvers take algebraic unknowns; 'accuracy cannot be checked' before."""
+    model = Model("descriptor", stop_time=0.5)
+    x, z = model.state("x", "1", 1.0, "x"), model.algebraic("z", "1", -1.0, "its rate")
+    model.derivative(x, z)
+    model.equation(z + x)
+
+    def endless(_request):
+        raise SolverError.of("descriptor", "too many steps", kind=EndKind.TOO_MANY_STEPS)
+
+    monkeypatch.setattr(choice, "run", endless)
+    with pytest.raises(SolverError, match=f"{said}: too many steps; request a shorter run, or"):
+        simulate(model.freeze(), **goal)

@@ -14,24 +14,36 @@ MADE = dedent(
     """
     import numpy as np
     LEVEL, TABLE, FACTORS = {level}, np.linspace(0, {end}, 2001) ** 2, [1.0, {factor}]
+    WEIGHT, ROW = {weight}, [1.0]
+    ROWS = [ROW] * {rows}
+    def weighted(run):
+        return max(WEIGHT * x for x in run["x"])
     def helper(run):
         return [{power} * x for x in FACTORS]
     def outer(inner):
         def function(run, default={default}, *, word={word!r}):
-            return {{"a": np.{call}(run["x"]) + LEVEL, "b": TABLE[inner], "c": helper(run)}}
+            found = {{"a": np.{call}(run["x"]) + LEVEL, "b": TABLE[inner], "c": helper(run)}}
+            return found | {{"d": len(ROWS), **{{name: weighted(run) for name in "ef"}}}}
         return function
-    class Counting:
+    class Base:
+        SHARE = {share}
+        def doubled(self, n):
+            return {twice} * n
+    class Counting(Base):
         def __init__(self, start):
             self.start = start
         def __call__(self, run):
             return {{"n": self.start + {power}}}
         def method(self, run):
-            return {{"m": self.start}}
+            return {{"m": self.doubled(self.start) + self.SHARE}}
+        @classmethod
+        def of_all(cls, run):
+            return {{"c": cls.doubled(cls, cls.SHARE)}}
     """
 )
 USUAL = {
     **{"level": 0.5, "end": 1, "factor": 2.0, "power": 3, "default": 1, "word": "a"},
-    **{"call": "max", "inner": 4, "start": 7},
+    **{"call": "max", "inner": 4, "start": 7, "weight": 5, "rows": 2, "share": 6, "twice": 2},
 }
 
 
@@ -44,7 +56,11 @@ def made(kind, **changed):
         return script["outer"](facts["inner"])
     if kind == "partial":
         return partial(script["outer"](1), default=facts["inner"])
+    if kind == "classmethod":
+        return script["Counting"].of_all
     counting = script["Counting"](facts["start"])
+    if kind == "partial of a method":
+        return partial(counting.method, 1)
     return counting.method if kind == "method" else counting
 
 
@@ -52,8 +68,11 @@ def made(kind, **changed):
     ("kind", "changed"),
     [
         *(("function", {name: 9}) for name in ("level", "end", "factor", "power", "default")),
+        *(("function", {name: 9}) for name in ("weight", "rows")),
+        *((k, {n: 9}) for k in ("method", "object", "classmethod") for n in ("share", "twice")),
         *(("function", changed) for changed in ({"word": "b"}, {"call": "min"}, {"inner": 5})),
         *((kind, {"start": 8}) for kind in ("method", "object")),
+        *(("partial of a method", {name: 9}) for name in ("start", "share", "twice")),
         *(("partial", {"inner": 9}), ("object", {"power": 4})),
     ],
     ids=str,
@@ -81,6 +100,20 @@ def test_a_number_with_a_name_that_the_results_have_is_rejected(name, stored, tm
     target = {"store": tmp_path / "store"} if stored else {}
     with pytest.raises(UsageError, match=f"a function of keep returns '{name}', which"):
         cosim.sweep("crank_shaft", {"alpha": [5.0]}, keep=keep, stop_time=1, workers=0, **target)
+
+
+@pytest.mark.parametrize(
+    ("kept", "name"), [("statistics", "omega_over_runs_mean"), ("trajectories", "omega_start")]
+)
+def test_a_number_does_not_replace_statistics_or_varied_values(kept, name, tmp_path):
+    """The function's 7 replaced the values that were varied, and statistics replaced it."""
+
+    def own(run):
+        return {name: 7.0}
+
+    for target in ({}, {"store": tmp_path / "store"}):
+        with pytest.raises(UsageError, match=f"a function of keep returns '{name}', which"):
+            cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=[kept, own], workers=0, **target)
 
 
 def test_levels_that_are_close_are_different_numbers():

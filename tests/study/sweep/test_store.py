@@ -146,7 +146,7 @@ def test_a_damaged_array_is_not_read(folder):
         flip_a_bit(folder / "a/c/1/0")
         with pytest.raises(UsageError, match="the array a is damaged; repeat the sweep with"):
             store["a"]
-        np.testing.assert_array_equal(store.row("a", 0), VALUES[0, :, 0])
+        np.testing.assert_array_equal(store.read("a", 0), VALUES[0, :, 0])
 
 
 def test_a_second_writer_is_rejected_and_a_pickled_store_is_read(folder):

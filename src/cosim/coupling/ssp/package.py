@@ -97,19 +97,16 @@ class Package:
         """
         place = f"{self.name}: {entry}"
         if entry not in self._documents:
-            self._documents[entry] = Document(self, entry, self._tree(place, self.entries[entry]))
+            file = self.entries[entry]
+            if file.stat().st_size > MOST_XML_BYTES:
+                raise SecurityError(f"{place} has more than {MOST_XML_BYTES} bytes; do not use it")
+            content = file.read_bytes()
+            reject_dangerous_xml(place, content)
+            self._documents[entry] = Document(self, entry, _local_tree(content))
         found = self._documents[entry]
         if found.root.tag != root:
             raise FmuError(f"{place}: its outermost element is {found.root.tag}, not {root}")
         return found
-
-    @staticmethod
-    def _tree(place: str, file: Path) -> ET.Element:
-        if file.stat().st_size > MOST_XML_BYTES:
-            raise SecurityError(f"{place} has more than {MOST_XML_BYTES} bytes; do not use it")
-        content = file.read_bytes()
-        reject_dangerous_xml(place, content)
-        return _local_tree(content)
 
     def variant(self, name: str | None) -> "Document":
         """Return a system description: the default one, or that of a file or a name.

@@ -7,6 +7,7 @@ from math import isfinite
 from xml.etree import ElementTree as ET
 
 from casadi_models.units import conversion
+from cosim.coupling.connectors import transformed
 from cosim.coupling.ssp.package import Document
 from cosim.errors import CosimError, ParameterError, UnknownName
 from cosim.fmi.units import Measured
@@ -62,11 +63,6 @@ class Value:
                 raise ParameterError(f"{name} = {number!r}: {reason}") from error
             number = transformed(number, scale, shift)
         return transformed(number, self.factor, self.offset)
-
-
-def transformed(number: float, factor: float, offset: float) -> float:
-    """Return factor * number + offset; an integer that stays the same is not rounded."""
-    return number if (factor, offset) == (1.0, 0.0) else factor * number + offset
 
 
 def real(document: Document, where: str, text: str | None, default: float = 0.0) -> float:

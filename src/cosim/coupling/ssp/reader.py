@@ -10,13 +10,13 @@ from typing import Any
 
 from casadi_models.dae.coupled import Connection
 from casadi_models.dae.variables import is_name
-from cosim.coupling.connectors import Connector, End
+from cosim.coupling.connectors import Connector, End, transformed
 from cosim.coupling.couple import system_of
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, Variable, part_of, reject_types
 from cosim.coupling.ssp.connections import Connections, Node, Steps, Way
 from cosim.coupling.ssp.package import Document, Package
-from cosim.coupling.ssp.parameters import Value, bound_values, real, transformed
+from cosim.coupling.ssp.parameters import Value, bound_values, real
 from cosim.coupling.ssp.structure import Declared, Element, Place, Role, whole_system
 from cosim.coupling.system import System
 from cosim.errors import CosimError, UnknownName

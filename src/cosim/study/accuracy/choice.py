@@ -164,7 +164,8 @@ class _Chooser:
         """
         least = dict[str, float]()
         for done in runs:
-            least[done.candidate.solver] = done.candidate.tolerance
+            solver, tolerance = done.candidate.solver, done.candidate.tolerance
+            least[solver] = min(tolerance, least.get(solver, tolerance))
         tighter = [
             one
             for one in self.candidates.every
@@ -274,6 +275,8 @@ def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:
             return _with_check(pair.better.run, goal, chooser.check(pair))
         share = min(0.1, accuracy / pair.error)
         target = min(target, candidate.error) * share
+    if failures and not runs:
+        raise _failed(chooser, goal, failures)
     if len(runs) < 2:
         what = runs[0].candidate if runs else "accuracy"
         raise SolverError(
@@ -288,12 +291,12 @@ def _failed(chooser: _Chooser, goal: Goal, failures: Mapping[str, SolverError]) 
     """Return the error of a run that fails, whatever the solver; the first failure tells why."""
     first = next(iter(failures.values()))
     wanted = "" if goal.accuracy is None else f"accuracy {goal.accuracy:g} is not reached: "
-    remedy = "request a shorter run"
+    fail, remedy = "fails" if len(failures) == 1 else "fail", "request a shorter run"
     if first.ending.kind is EndKind.TOO_MANY_STEPS:
         remedy += ", or a shorter output_interval"
     why = first.ending if first.ending.remedy else f"{first.ending}; {remedy}"
     return SolverError(
-        f"{chooser.dae.full_name}: {wanted}{' and '.join(failures)} fail: {why}", first.partial
+        f"{chooser.dae.full_name}: {wanted}{' and '.join(failures)} {fail}: {why}", first.partial
     )
 
 

@@ -186,18 +186,12 @@ class Fit:
 
     def __str__(self) -> str:
         noise = ", ".join(
-            f"{name} {float(self._shown(name, size)):.3g} {self._column(name).shown_unit}"
+            f"{name} {column.shown(np.array(size), difference=True):.3g} {column.shown_unit}"
             for name, size in self.noise.items()
+            for column in [next(run for run in self.runs if name in run).column(name)]
         )
         fitted = f"{counted(len(self.x), 'value')} fitted to {self.samples} measured ones"
         return f"{self.subject.name}: {fitted}; residuals (standard deviation): {noise}"
-
-    def _column(self, name: str) -> Column:
-        return next(run for run in self.runs if name in run).column(name)
-
-    def _shown(self, name: str, size: float) -> Any:
-        column = self._column(name)
-        return column.shown(np.array(size)) - column.shown(np.array(0.0))
 
     def __repr__(self) -> str:
         return "\n".join([str(self), text_table(self.rows()), *self.unidentified, *self.notes])

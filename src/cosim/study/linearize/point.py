@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -68,19 +69,26 @@ def linearized(
         x, time, point = run(request).values[-1], at, f"{at:g} s of a run"
     else:
         x, time, point = consistent_start(dae, 0.0, values), 0.0, "its initial state"
+    over = None
     if period is not None:
         over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
-        return _of_map(over, names, x, to_rest=at == EQUILIBRIUM)
     if at == EQUILIBRIUM:
+        motion = partial(_motion, dae, values, over)
+        depends, kind, accuracy = influence(dae), "equilibrium", AT_REST
+        if over is not None:
+            depends, kind, accuracy = over.influence, "periodic motion", ACCURACY / over.period
+        x, point = equilibrium(dae, x, values, motion, depends, kind, accuracy)
+    return _linear_system(dae, names, time, x, values, point, over)
 
-        def motion(x: Vector) -> tuple[Vector, Vector]:
-            own, u, _ = followed(dae, 0.0, x, values)
-            rates, _, jacobian = at_point(own, (), 0.0, x, replace(values, u=u))
-            return rates, jacobian[: len(x), : len(x)]
 
-        depends, kind = influence(dae), "equilibrium"
-        x, point = equilibrium(dae, x, values, motion, depends, kind, AT_REST)
-    return _linear_system(dae, names, time, x, values, point)
+def _motion(dae: Dae, values: Values, over: PeriodMap | None, x: Vector) -> tuple[Vector, Vector]:
+    """Return rates, or their mean over a period, and their derivatives by the states."""
+    if over is not None:
+        after = over(x)
+        return (after.x - x) / over.period, (after.by_x - np.eye(len(x))) / over.period
+    own, u, _ = followed(dae, 0.0, x, values)
+    rates, _, jacobian = at_point(own, (), 0.0, x, replace(values, u=u))
+    return rates, jacobian[: len(x), : len(x)]
 
 
 def _linear_system(
@@ -90,7 +98,7 @@ def _linear_system(
     x: Vector,
     values: Values,
     point: str,
-    over: PeriodMap | None = None,
+    over: PeriodMap | None,
 ) -> Linearization:
     """Return the linear system at a state, or the map over a period from there."""
     local = local_system(dae, names, time, x, values, point)
@@ -119,17 +127,3 @@ def _linear_system(
         point=point,
         period=over.period if over else None,
     )
-
-
-def _of_map(over: PeriodMap, names: tuple[str, ...], x: Vector, *, to_rest: bool) -> Linearization:
-    """Return the linear map over a period from a state, or from the periodic motion near it."""
-    dae, values, period, point = over.dae, over.values, over.period, over.point
-    if to_rest:
-
-        def motion(x: Vector) -> tuple[Vector, Vector]:
-            after = over(x)
-            return (after.x - x) / period, (after.by_x - np.eye(len(x))) / period
-
-        kind, accuracy = "periodic motion", ACCURACY / period
-        x, point = equilibrium(dae, x, values, motion, over.influence, kind, accuracy)
-    return _linear_system(dae, names, over.begin, x, values, point, over)

@@ -18,7 +18,6 @@ from cosim.text import short_reason
 
 STATES = tuple(RunState)  # a state is stored as its position here
 COMPLETE = STATES.index(RunState.COMPLETE)
-_TAKEN = ("run", "time", "status", "reason", "steps", "reached", "blocks")  # names in a store
 NOT_COMPUTED = STATES.index(RunState.INTERRUPTED)
 
 
@@ -58,6 +57,7 @@ class Job:
         settings: Keywords of every run, the names of the recorded outputs among them.
         times: Number of output times.
         keep: The results to store.
+        taken: Names that the number of a user's function cannot have.
         threads: Threads of a process, for runs in SIMD lanes.
     """
 
@@ -65,6 +65,7 @@ class Job:
     settings: Mapping[str, Any]
     times: int
     keep: Keep
+    taken: frozenset[str]
     threads: int = 1
 
     def compute(self, first: int, columns: Mapping[str, Vector]) -> Block:
@@ -94,9 +95,7 @@ class Job:
                 curve = ensemble.names.index(reduction.variable)
                 numbers[reduction.name][i] = reduction.of(known, curve)
         for function in self.keep.functions:
-            outputs = ensemble.names if self.keep.trajectories else ()
-            taken = {*_TAKEN, *columns, *outputs, *numbers}
-            _add_results(function, ensemble, states, reasons, numbers, taken)
+            _add_results(function, ensemble, states, reasons, numbers, self.taken | {*numbers})
         return Block(
             first,
             states,

@@ -191,8 +191,7 @@ class Statistics:
         return self._of(name, self.moments.high)
 
     def _of(self, name: str, table: Vector) -> Vector:
-        if name not in self.names:
-            raise UnknownName.among("statistics", "output", name, self.names)
+        UnknownName.reject("statistics", "output", self.names, name)
         reached = np.where(self.moments.count > 0, table, np.nan)
         return reached[:, self.names.index(name)]
 

@@ -87,9 +87,8 @@ def chosen_samples(
         named: A design: "grid" or KIND:N, e.g. "sobol:1024".
         seed: Of the design.
     """
-    if not isinstance(start_values, Mapping | None):
-        expected = "arrays by name, e.g. {'phi': [0.1, 0.2]}; a table as samples"
-        raise UsageError.of_type("sweep: start_values", start_values, expected)
+    expected = "arrays by name, e.g. {'phi': [0.1, 0.2]}; a table as samples"
+    UsageError.reject("sweep: start_values", start_values, Mapping | None, expected)
     if samples is not None:
         if named is not None:
             raise UsageError("sweep: give samples or a design, not both")
@@ -171,8 +170,7 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
         >>> len(design("sobol", 8, {"phi": (0.0, 0.5)}))
         8
     """
-    if kind not in DESIGNS:
-        raise UnknownName.among("sweep", "design", kind, DESIGNS)
+    UnknownName.reject("sweep", "design", DESIGNS, kind)
     whole("design", "runs", runs)
     whole("design", "seed", seed, 0, MOST_SEED)
     varied = [name for name, spread in ranges.items() if not isinstance(spread, int | float)]

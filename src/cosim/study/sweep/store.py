@@ -228,11 +228,13 @@ class Store:
 
     def __getitem__(self, name: str) -> Any:
         """Return a whole array."""
-        return self._read(name)
+        return self.read(name)
 
-    def row(self, name: str, run: int) -> Vector:
-        """Return one run of an array, (times,)."""
-        return self._read(name, run)
+    def read(self, name: str, part: int | slice = slice(None)) -> Vector:
+        """Return a part of an array along its first dimension, e.g. one run, (times,)."""
+        if self._files is None:
+            return np.asarray(self._arrays[name][part])
+        return self._files.read(name, part)
 
     def to_xarray(self) -> xr.Dataset:
         """Return everything as a dataset; of a folder, its arrays are read when they are used."""
@@ -296,6 +298,11 @@ class Store:
         self._add(name, ("run",), np.nan, {})
         self.numbers.append(name)
 
+    @property
+    def taken(self) -> frozenset[str]:
+        """Names that the number of a user's function cannot have."""
+        return frozenset({"run", "blocks", *self._variables} - {*self.numbers})
+
     def _in_blocks(self) -> list[str]:
         """Return the arrays of results whose chunks are blocks."""
         others = {_DIGESTS, *self.layout.varied.values()}
@@ -326,11 +333,6 @@ class Store:
                 RuntimeWarning,
                 stacklevel=2,
             )
-
-    def _read(self, name: str, part: int | slice = slice(None)) -> Vector:
-        if self._files is None:
-            return np.asarray(self._arrays[name][part])
-        return self._files.read(name, part)
 
     def _write(self, block: Block) -> None:
         part = slice(block.first, block.first + len(block))
@@ -370,7 +372,7 @@ class Store:
             self._moments = moments if self._moments is None else merged(self._moments, moments)
 
     def _stored_moments(self, block: int) -> Moments:
-        tables = (self._read(_BLOCKS + kind, block) for kind in _MOMENTS)
+        tables = (self.read(_BLOCKS + kind, block) for kind in _MOMENTS)
         return Moments(*tables)
 
 

@@ -139,8 +139,7 @@ class SweepResult:
         Raises:
             UnknownName: There is neither of that name.
         """
-        if name not in self.names:
-            raise UnknownName.among("sweep", "number", name, self.names)
+        UnknownName.reject("sweep", "number", self.names, name)
         return self.numbers[name] if name in self.numbers else self.samples.columns[name]
 
     @cached_property
@@ -164,7 +163,7 @@ class SweepResult:
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
-        values = np.column_stack([self.data.row(column.name, i)[:n] for column in self.columns])
+        values = np.column_stack([self.data.read(column.name, i)[:n] for column in self.columns])
         return Trajectory(self.model, self.time[:n], self.columns, values, {}, status)
 
     def _need_trajectories(self) -> None:
@@ -313,7 +312,6 @@ def sweep(
         manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded),
         {name: opened.own_unit(name) for name in chosen.columns},
     )  # fmt: skip
-    job = Job(opened, recorded, len(time), stored, processors())
     with ExitStack() as held:
         if scheduler is not None:  # this process waits for workers, which end with it
             held.enter_context(ended_by_signals())
@@ -321,6 +319,7 @@ def sweep(
             results = Store(layout)
         else:
             results = held.enter_context(Store.opened(layout, folder, resume=resume))
+        job = Job(opened, recorded, len(time), stored, results.taken, processors())
         _fill(results, job, scheduler, workers, progress)
     return SweepResult.of(results)
 
