@@ -18,7 +18,7 @@
 static Status get_rates(Instance *self, const Reference references[], size_t count,
                         const Order orders[], double values[]) {
     (void)references, (void)orders, (void)values;
-    return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
+    return count ? no_derivatives(self) : OK;
 }
 #else
 enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };

@@ -26,35 +26,20 @@ static Status directional(Instance *self, const Reference unknowns[], size_t n_u
     (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)sensitivity;
     return no_derivatives(self);
 }
-
-static Status time_derivatives(Instance *self, const Reference unknowns[], size_t count,
-                               double rates[]) {
-    (void)unknowns, (void)count, (void)rates;
-    return no_derivatives(self);
-}
 #else
 static bool is_starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
 
 static bool is_known(const Instance *self, const VariableInfo *variable) {
-    switch (variable->role) {
-    case STATE: return variable->start_kind != CALCULATED || !is_starting(self);
-    case TIME:
-    case INPUT:
-    case PARAMETER: return true;
-    default: return false;
-    }
+    const Role role = variable->role;
+    if (role == STATE) return variable->start_kind != CALCULATED || !is_starting(self);
+    return role == TIME || role == INPUT || role == PARAMETER;
 }
 
 static bool is_unknown(const VariableInfo *variable) {
-    switch (variable->role) {
-    case TIME:
-    case INPUT:
-    case MODE:
-    case PARAMETER: return false;
-    default: return true;
-    }
+    const Role role = variable->role;
+    return role == STATE || role == DERIVATIVE || role == ALGEBRAIC || role == OUTPUT;
 }
 
 static Status check_roles(Instance *self, const Reference unknowns[], size_t n_unknowns,
