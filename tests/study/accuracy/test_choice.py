@@ -202,7 +202,7 @@ def test_longer_run_has_less_time_for_each_second():
     """Ten times the span: a tenth of the budget is what its second has."""
     dae = oscillator().dae
     front = measured_candidates(dae, compiled=True).cheapest_first(["x"])
-    budget = 5 * front[0].solve_time
+    budget = 5 * min(candidate.solve_time for candidate in front)
     with pytest.raises(ParameterError, match="increase the budget or shorten the run"):
         simulate(dae, stop_time=50.0, budget=budget, outputs=["x"])
 
