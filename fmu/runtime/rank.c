@@ -5,8 +5,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "equations.h"
-#include "evaluation.h"
 #include "logging.h"
 
 #if HAS_RANK
