@@ -15,18 +15,6 @@
 #include "logging.h"
 #include "modes.h"
 
-#if NO_DERIVATIVES
-static Status no_derivatives(Instance *self) {
-    return refuse(self, ERROR, "the FMU was exported without derivatives");
-}
-
-static Status directional(Instance *self, const Reference unknowns[], size_t n_unknowns,
-                          const Reference knowns[], size_t n_knowns, const double seed[],
-                          double sensitivity[]) {
-    (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)sensitivity;
-    return no_derivatives(self);
-}
-#else
 static bool is_starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
@@ -181,6 +169,5 @@ static Status time_derivatives(Instance *self, const Reference unknowns[], size_
     if (!rates) return refuse(self, ERROR, "there is no room for the values");
     return gather(self, unknowns, count, along, rates);
 }
-#endif
 
 #endif
