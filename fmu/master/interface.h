@@ -127,9 +127,8 @@ static inline int set_inputs(Coupling *self, const double *u) {
     return 0;
 }
 
-/* Outputs of the first parts. */
-static inline int get_outputs(Coupling *self, long long parts) {
-    for (long long p = 0; p < parts; ++p) {
+static inline int get_outputs(Coupling *self) {
+    for (long long p = 0; p < self->system->n_parts; ++p) {
         const Part *part = self->system->parts + p;
         if (part_get(&self->fmu, part, self->y + part->first_output)) return give_up(self, p);
     }
@@ -200,7 +199,7 @@ static inline int settle_values(Coupling *self, double *u) {
     const long long m = system->inputs;
     double last = INFINITY;
     if (!self->feedthrough) { /* no output feels an input at once */
-        if (get_outputs(self, system->n_parts)) return CALL_FAILED;
+        if (get_outputs(self)) return CALL_FAILED;
         for (long long k = 0; k < m; ++k) {
             if (!isfinite(u[system->input = k] = driven(self, k))) return NOT_A_NUMBER;
             self->most = fmax(self->most, fabs(u[k]) / size_of(system, k, u[k]));
@@ -209,7 +208,7 @@ static inline int settle_values(Coupling *self, double *u) {
     }
     for (int n = 0; n < MOST_SOLUTIONS; ++n) {
         double worst = 0;
-        if (set_inputs(self, u) || get_outputs(self, system->n_parts)) return CALL_FAILED;
+        if (set_inputs(self, u) || get_outputs(self)) return CALL_FAILED;
         for (long long k = 0; k < m; ++k) {
             self->change[k] = driven(self, k) - u[k];
             const double size = size_of(system, k, u[k]), off = fabs(self->change[k]) / size;

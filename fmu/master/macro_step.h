@@ -202,7 +202,7 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
 static inline int take_new_outputs(Coupling *self, long long p) {
     System *system = self->system;
     const Part *part = system->parts + p;
-    if (get_outputs(self, system->n_parts)) return PART_FAILED;
+    if (get_outputs(self)) return PART_FAILED;
     for (long long k = part->first_input; k < part->first_input + part->inputs; ++k) {
         const Part *source = system->parts;
         while (system->source[k] >= source->first_output + source->outputs) ++source;

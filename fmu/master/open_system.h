@@ -231,7 +231,7 @@ static inline void copy_own_numbers(Coupling *self, double **place, int in) {
 /* Inputs that do not move, texts among them, have no other number than their outputs have now. */
 static inline int find_held(Coupling *self) {
     System *system = self->system;
-    if (get_outputs(self, system->n_parts)) return CALL_FAILED;
+    if (get_outputs(self)) return CALL_FAILED;
     for (long long k = 0; k < system->inputs; ++k)
         if (system->held[k]) self->now.u[k] = driven(self, k);
     return DONE;

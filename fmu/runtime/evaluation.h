@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "equations.h"
 #include "integration.h"
 #include "logging.h"
@@ -62,23 +63,6 @@ static Status settle_start(Instance *self) {
     }
     memcpy(values + FIRST_STATE, x, NX * sizeof(double));
     return start_modes(self);
-}
-
-/* Pass the common arguments of the equations, t, x, z, u, c: those of a point, or the present ones.
- */
-static void pass_point(Instance *self, const double *t, const double *x, const double *z,
-                       const double *u) {
-    self->arg[0] = t;
-    self->arg[1] = x;
-    self->arg[2] = z;
-    self->arg[3] = u;
-    self->arg[4] = self->constants;
-}
-
-static void pass_values(Instance *self) {
-    const double *values = self->state.values;
-    pass_point(self, values + TIME, values + FIRST_STATE, values + FIRST_ALGEBRAIC,
-               values + FIRST_INPUT);
 }
 
 /* Pass a point whose algebraic unknowns are solved for from their guess; false without a solution.

@@ -1,8 +1,8 @@
 /* FMI 2.0: the functions common to model exchange and co-simulation. */
 #include "fmi2.h"
 #include "access.h"
+#include "derivatives.h"
 #include "initialization.h"
-#include "sensitivity.h"
 #include "snapshot.h"
 
 /* -- information, creation, logging ----------------------------------------------------------- */

@@ -1,7 +1,7 @@
 /* FMI 2.0: the functions of co-simulation. Steps are computed while the importer waits. */
+#include "derivatives.h"
 #include "events.h"
 #include "fmi2.h"
-#include "output_rates.h"
 #include "stepping.h"
 
 /* -- inputs and outputs between communication points ------------------------------------------ */

@@ -1,9 +1,9 @@
 /* FMI 3.0: adjoint derivatives, weights of results carried backwards. */
 #include <string.h>
 
+#include "derivatives.h"
 #include "evaluation.h"
 #include "fmi3.h"
-#include "sensitivity.h"
 
 #if NO_DERIVATIVES
 static Status adjoint(Instance *self, const uint32_t unknowns[], size_t n_unknowns,

@@ -1,7 +1,7 @@
 /* FMI 3.0: the functions of co-simulation. */
+#include "derivatives.h"
 #include "events.h"
 #include "fmi3.h"
-#include "output_rates.h"
 #include "stepping.h"
 
 /* A step that fails is discarded: the instance is as it was before, and a shorter one may do. It

@@ -14,13 +14,6 @@
 #include "sensitivity.h"
 #include "stepping.h"
 
-#if NO_DERIVATIVES
-static Status get_rates(Instance *self, const Reference references[], size_t count,
-                        const Order orders[], double values[]) {
-    (void)references, (void)orders, (void)values;
-    return count ? refuse(self, ERROR, "the FMU was exported without derivatives") : OK;
-}
-#else
 enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };
 
 static const double PART = 0.01; /* of a step, between two points */
@@ -110,6 +103,5 @@ static Status get_rates(Instance *self, const Reference references[], size_t cou
     memcpy(self->state.motion, motion, sizeof motion);
     return status;
 }
-#endif
 
 #endif

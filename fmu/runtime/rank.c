@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "constants.h"
 #include "equations.h"
 #include "logging.h"
 
@@ -44,19 +45,10 @@ bool restore(Instance *self, double t, const double u[], double x[]) {
     return false;
 }
 
-static void pass_present(Instance *self, const double *t, const double *x) {
-    const double *values = self->state.values;
-    self->arg[0] = t;
-    self->arg[1] = x;
-    self->arg[2] = values + FIRST_ALGEBRAIC;
-    self->arg[3] = values + FIRST_INPUT;
-    self->arg[4] = self->constants;
-}
-
 static Look look(Instance *self) {
     const double *values = self->state.values;
     Look now = {.time = values[TIME]};
-    pass_present(self, values + TIME, values + FIRST_STATE);
+    pass_values(self);
     now.distance = rank_at(self, &now.rate);
     memcpy(now.x, values + FIRST_STATE, NX * sizeof *values);
     memcpy(now.dx, values + FIRST_DERIVATIVE, NX * sizeof *values);
@@ -71,7 +63,7 @@ void note_rank(Instance *self) {
     const double *values = self->state.values;
     Watch *watch = &self->state.watch;
     if (watch->looks == 0 || !(values[TIME] > watch->last.time)) return;
-    pass_present(self, values + TIME, values + FIRST_STATE);
+    pass_values(self);
     const double distance = rank_at(self, NULL);
     if (!(distance < watch->least)) return;
     if (distance < LEAST_RANK && watch->least >= LEAST_RANK) /* a solver may end before its step */
@@ -85,11 +77,12 @@ void note_rank(Instance *self) {
 /* The distance on the cubic through the states and derivatives of two evaluations. */
 static double distance_on(Instance *self, const Look *from, const Look *to, double share) {
     const double h = to->time - from->time, t = from->time + share * h, rest = 1 - share;
+    const double *values = self->state.values;
     double x[NX];
     for (int i = 0; i < NX; i++)
         x[i] = rest * rest * ((1 + 2 * share) * from->x[i] + share * h * from->dx[i]) +
                share * share * ((3 - 2 * share) * to->x[i] - rest * h * to->dx[i]);
-    pass_present(self, &t, x);
+    pass_point(self, &t, x, values + FIRST_ALGEBRAIC, values + FIRST_INPUT);
     return rank_at(self, NULL);
 }
 

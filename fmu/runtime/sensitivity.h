@@ -15,46 +15,19 @@
 #include "logging.h"
 #include "modes.h"
 
-#if NO_DERIVATIVES
-static Status no_derivatives(Instance *self) {
-    return refuse(self, ERROR, "the FMU was exported without derivatives");
-}
-
-static Status directional(Instance *self, const Reference unknowns[], size_t n_unknowns,
-                          const Reference knowns[], size_t n_knowns, const double seed[],
-                          double sensitivity[]) {
-    (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)sensitivity;
-    return no_derivatives(self);
-}
-
-static Status time_derivatives(Instance *self, const Reference unknowns[], size_t count,
-                               double rates[]) {
-    (void)unknowns, (void)count, (void)rates;
-    return no_derivatives(self);
-}
-#else
 static bool is_starting(const Instance *self) {
     return self->state.mode == INITIALIZATION_MODE;
 }
 
 static bool is_known(const Instance *self, const VariableInfo *variable) {
-    switch (variable->role) {
-    case STATE: return variable->start_kind != CALCULATED || !is_starting(self);
-    case TIME:
-    case INPUT:
-    case PARAMETER: return true;
-    default: return false;
-    }
+    const Role role = variable->role;
+    if (role == STATE) return variable->start_kind != CALCULATED || !is_starting(self);
+    return role == TIME || role == INPUT || role == PARAMETER;
 }
 
 static bool is_unknown(const VariableInfo *variable) {
-    switch (variable->role) {
-    case TIME:
-    case INPUT:
-    case MODE:
-    case PARAMETER: return false;
-    default: return true;
-    }
+    const Role role = variable->role;
+    return role == STATE || role == DERIVATIVE || role == ALGEBRAIC || role == OUTPUT;
 }
 
 static Status check_roles(Instance *self, const Reference unknowns[], size_t n_unknowns,
@@ -196,6 +169,5 @@ static Status time_derivatives(Instance *self, const Reference unknowns[], size_
     if (!rates) return refuse(self, ERROR, "there is no room for the values");
     return gather(self, unknowns, count, along, rates);
 }
-#endif
 
 #endif

@@ -10,6 +10,7 @@ import pytest
 
 from cosim.errors import FmuError, SecurityError
 from cosim.fmi.archive import DESCRIPTION, opened, unpacked
+from cosim.fmi.check.check import check_fmu
 from cosim.fmi.run.simulate import simulate_fmu
 
 PLAIN = b"<fmiModelDescription fmiVersion='2.0'/>"
@@ -210,3 +211,15 @@ def test_an_entry_that_cannot_be_unpacked_ends_in_one_sentence(kind, tmp_path):
     ):
         pass
     assert "Error" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["read", "extractall", "testzip"])
+def test_a_lack_of_memory_is_no_damage_of_the_archive(method, tmp_path, monkeypatch):
+    path = archive(tmp_path / "plain.fmu")
+
+    def fail(*_arguments):
+        raise MemoryError
+
+    monkeypatch.setattr(zipfile.ZipFile, method, fail)
+    with pytest.raises(MemoryError), unpacked(path):
+        check_fmu(path, libraries=False)

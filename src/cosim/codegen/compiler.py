@@ -251,7 +251,8 @@ def cached_library(
             options = (*_HIDE_SYMBOLS, *own, *([_LONG] * (len(code) >= _LENGTH)))
             sources = [build / name for name in files]
             compile_library(sources, library, options=options, command=command)
-            target = folder / f"{digest}-{_checksum(library.read_bytes())}{SUFFIX}"
+            checksum = hashlib.sha256(library.read_bytes()).hexdigest()
+            target = folder / f"{digest}-{checksum}{SUFFIX}"
             _store_library(library, target)
         prune()
     except MissingTool as error:
@@ -319,15 +320,11 @@ def _stored(folder: Path, digest: str) -> Path | None:
         content = plain_file(place)
         if content is None:
             continue
-        if place.stem != f"{digest}-{_checksum(content)}":
+        if place.stem != f"{digest}-{hashlib.sha256(content).hexdigest()}":
             remove_damaged(place)
         elif _loads(place):
             return place
     return None
-
-
-def _checksum(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 @cache

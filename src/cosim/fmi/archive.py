@@ -146,7 +146,13 @@ def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_B
 
 
 def why_unreadable(error: Exception) -> str:
-    """Return what is wrong with an entry, from the exception of what unpacks it."""
+    """Return what is wrong with an entry, from the exception of what unpacks it.
+
+    Raises:
+        MemoryError: It is one, which is no fault of the entry.
+    """
+    if isinstance(error, MemoryError):
+        raise error
     return getattr(error, "strerror", None) or str(error) or "the archive ends before it does"
 
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 from casadi_models.units import Unit
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
-from cosim.fmi.archive import DESCRIPTION, flat_names, unpacked
+from cosim.fmi.archive import DESCRIPTION, SYSTEM_DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import unit_of
@@ -144,7 +144,7 @@ def write_ssp(
     for key in open_inputs:
         component, entry = _side(described, key, "input")
         if (component, entry) not in dict(given):
-            given.append(((component, entry), _start(described[component], entry)))
+            given.append(((component, entry), start_number(described[component][1][entry])))
     changes = {
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
@@ -180,7 +180,7 @@ def write_ssp(
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, (path, _) in pairs.items()}
-    return write_atomically(target, zipped({"SystemStructure.ssd": to_file(root), **files, **fmus}))
+    return write_atomically(target, zipped({SYSTEM_DESCRIPTION: to_file(root), **files, **fmus}))
 
 
 def _defined_units(files: Iterable[Any]) -> dict[str, Unit]:
@@ -212,11 +212,6 @@ def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
             raise FmuError(f"{path}: modelDescription.xml cannot be read: {error}") from error
     known = {variable.name: variable for variable in description.modelVariables}
     return description, {flat.get(name, name): found for name, found in known.items()} | known
-
-
-def _start(described: tuple[Any, dict[str, Any]], name: str) -> float:
-    """Return the start value of a variable; 0 if it has none."""
-    return start_number(described[1][name])
 
 
 def _binding(chosen: ET.Element, file: str) -> ET.Element:

@@ -1,7 +1,7 @@
 """Units as files define them by FMI's `BaseUnit` and `DisplayUnit`, in FMI 2.0, FMI 3.0 and SSP."""
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import isclose, isfinite
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from casadi_models.units import Unit, conversion, parse_unit
 from cosim.errors import UsageError
 from cosim.fmi.run.description import unit_of
 
-_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _ROUNDING = 1e-6  # relative, of a factor that a file writes with few digits
 
 
@@ -30,7 +30,7 @@ def base_unit(attributes: Mapping[str, Any]) -> Unit:
         >>> conversion(pascal, bar)
         (1e-05, 0.0)
     """
-    exponents = {name: int(attributes.get(name) or 0) for name in _BASE_UNITS}
+    exponents = {name: int(attributes.get(name) or 0) for name in BASE_UNITS}
     factor, offset = float(attributes.get("factor", 1)), float(attributes.get("offset", 0))
     if not (factor and isfinite(factor) and isfinite(offset)):
         raise ValueError(f"factor {factor} and offset {offset} define no unit")
@@ -78,7 +78,7 @@ def definitions(description: Any) -> Mapping[str, Unit]:
     for unit in description.unitDefinitions:
         base = unit.baseUnit
         if base is not None:
-            attributes = {n: getattr(base, n) for n in (*_BASE_UNITS, "factor", "offset")}
+            attributes = {n: getattr(base, n) for n in (*BASE_UNITS, "factor", "offset")}
             try:
                 found[unit.name] = base_unit(attributes)
             except (TypeError, ValueError):
@@ -139,7 +139,8 @@ def display_of(variable: Any, description: Any) -> tuple[str | None, float | Non
     factor, offset = found
     if _is_relative(variable):
         offset = 0.0
-    if usual and all(map(_is_close, (factor, offset), usual)):
+    is_close = partial(isclose, rel_tol=_ROUNDING, abs_tol=1e-12)
+    if usual and all(map(is_close, (factor, offset), usual)):
         return name, None, 0.0
     return name, factor, offset
 
@@ -156,10 +157,6 @@ def _displays(description: Any) -> Mapping[str | None, Mapping[str, tuple[float,
             if factor and isfinite(factor) and isfinite(offset)
         }
     return found
-
-
-def _is_close(a: float, b: float) -> bool:
-    return isclose(a, b, rel_tol=_ROUNDING, abs_tol=1e-12)
 
 
 def _is_relative(variable: Any) -> bool:

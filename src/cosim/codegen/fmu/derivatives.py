@@ -83,18 +83,16 @@ def _directional_formulas(dae: Dae, *, looped: bool) -> tuple[Formulas, Formulas
     return implicit, Formulas("along_all", [*seeds, seed_z], along)
 
 
-def directional_function(
-    dae: Dae, laws: Laws | None = None, *, in_a_loop: bool | None = None
-) -> ca.Function:
+def directional_function(dae: Dae, laws: Laws | None = None) -> ca.Function:
     """Return `model_directional(t, x, z, u, p, seed_x, seed_u, seed_p, seed_t)`.
 
-    Its results are the derivatives of dx/dt, z and the outputs along the seeds.
+    Its results are the derivatives of dx/dt, z and the outputs along the seeds. Those of a large
+    model share one derivative of the laws with `jacobian_function`.
 
     Args:
-        laws: Whose constants it takes for p; without a loop.
-        in_a_loop: See `jacobian_function`; with a loop, both use one derivative of the laws.
+        laws: Whose constants it takes for p; not of a large model.
     """
-    looped = is_large(dae) if in_a_loop is None else in_a_loop
+    looped = is_large(dae)
     of_z, of_all = _directional_formulas(dae, looped=looped)
     symbols, (slopes, change) = of_z.expressions(dae, laws)
     implicit, explicit = implicit_change(symbols, slopes, change), of_all.function(dae, laws)
@@ -117,17 +115,15 @@ def _jacobian_formulas(dae: Dae) -> Formulas:
 
 
 @cached_per_thread(4)
-def jacobian_function(
-    dae: Dae, laws: Laws | None = None, *, in_a_loop: bool | None = None
-) -> ca.Function:
+def jacobian_function(dae: Dae, laws: Laws | None = None) -> ca.Function:
     """Return `model_jacobian(t, x, z, u, p)`: dense Jacobians of dx/dt and z with (x, u).
 
+    That of a large model, whose formulas are too long, loops over directional derivatives.
+
     Args:
-        laws: Whose constants it takes for p; without a loop.
-        in_a_loop: Whether to loop over directional derivatives instead of using formulas; when
-            None, only if the formulas are too long.
+        laws: Whose constants it takes for p; not of a large model.
     """
-    if is_large(dae) if in_a_loop is None else in_a_loop:
+    if is_large(dae):
         arguments = [argument_like(symbol) for symbol in dae.arguments]
         every, known = ca.vertcat(dae.ode, dae.balanced), ca.vertcat(dae.x, dae.u)
         pattern = ca.jacobian_sparsity(every, ca.vertcat(known, dae.z))

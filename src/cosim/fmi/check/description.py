@@ -13,6 +13,7 @@ from casadi_models.units import Unit, conversion, parse_unit
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
+from cosim.fmi.units import BASE_UNITS
 
 _ROUNDING = 1e-5  # of factors, as people write them
 _MOST = 10  # findings in a file: one fault can have hundreds
@@ -51,9 +52,6 @@ def _schema(name: str) -> Any:
     from lxml import etree
 
     return etree.XMLSchema(file=str(files("fmpy") / "schema" / name))
-
-
-SectionFault = tuple[Rule, str]  # a rule, and the fault that breaks it
 
 
 def structure_findings(described: Description) -> Iterator[Finding]:
@@ -120,7 +118,7 @@ def _initial_unknowns(described: Description) -> list[int]:
 
 def _entries(
     described: Description, listed: Sequence[Unknown], expected: Sequence[int], *, strict: bool
-) -> Iterator[SectionFault]:
+) -> Iterator[tuple[Rule, str]]:
     rule = RULES["listed"] if strict else RULES["listed-lightly"]
     places = [unknown.position for unknown in listed]
     if -1 in places:
@@ -138,7 +136,7 @@ def _entries(
 
 def _needs(
     described: Description, listed: Sequence[Unknown], known: set[int]
-) -> Iterator[SectionFault]:
+) -> Iterator[tuple[Rule, str]]:
     for unknown in listed:
         needs = unknown.needs or ()
         name = "?" if unknown.position < 0 else described.variables[unknown.position].name
@@ -151,7 +149,6 @@ def _needs(
             yield RULES["order"], f"dependencies of '{name}' are not ascending"
 
 
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _INITIALS = ("exact", "approx", "calculated")
 # FMI 2.0.4, 2.2.7; FMI 3.0.2, 2.4.7.5. None: the attribute is absent.
 _INITIAL: dict[tuple[str, str], tuple[str | None, ...]] = {

@@ -173,6 +173,11 @@ PARTS = (
         ("looks.h", "cubic.h"),
     ),
     Part(
+        "derivatives of results",
+        lambda plan: plan.options.derivatives,
+        ("sensitivity.h", "output_rates.h"),
+    ),
+    Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,
         ("rank.c",),

@@ -106,10 +106,6 @@ class Bench:
         every = (v for v in self.described.variables if v.causality == causality)
         return [v for v in every if variability in ("", v.variability) and self.single(v)]
 
-    def outputs(self) -> list[Described]:
-        """Return the outputs that are real numbers."""
-        return self.reals("output")
-
     def states(self) -> tuple[tuple[Described, Described], ...]:
         """Return every state with its derivative, in the order of the model structure.
 
@@ -262,14 +258,9 @@ class Session:
     time: float = 0.0
     next_event: float = inf
 
-    @property
-    def start_time(self) -> float:
-        """Where it begins, s."""
-        return self.bench.start
-
     def enter(self, stop_time: float | None = None, start_time: float | None = None) -> None:
         """Enter initialization mode; `start_time`, s, is that of the experiment if None."""
-        self.time = self.start_time if start_time is None else start_time
+        self.time = self.bench.start if start_time is None else start_time
         times = {"startTime": self.time, "stopTime": stop_time}
         if self.bench.second:
             self.instance.setupExperiment(**times)

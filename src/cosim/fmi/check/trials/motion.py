@@ -150,7 +150,7 @@ class _Course:
         states, rates = zip(*self.bench.states(), strict=True)
         with self.bench.session("ModelExchange") as session:
             session.start()
-            begin = session.start_time
+            begin = self.bench.start
             if session.next_event < begin + _STEPS * self.size:
                 raise Skipped("it has time events, which this trial does not locate")
             start, rise = self._line(session)

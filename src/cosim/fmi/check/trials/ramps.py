@@ -1,6 +1,7 @@
 """The trial of inputs that rise within a step, by their derivatives."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -51,10 +52,7 @@ def _effects(
 
     Effects that are not clear are 0.
     """
-
-    def rows(parts: int, **how: bool) -> Vector:
-        return _rows(bench, variable, outputs, rise, parts, **how)
-
+    rows = partial(_rows, bench, variable, outputs, rise)
     dense, half = (rows(n, follows=True) for n in (_SHORT, _SHORT // 2))
     held, fine = (rows(n) for n in (1, _SHORT))
     effect, missing = (np.abs(r - dense).max(axis=0) for r in (held, rows(1, rate=True)))

@@ -22,7 +22,7 @@ def start(bench: Bench, kind: str) -> Iterator[Finding]:
     """It instantiates, initializes, and its outputs are finite then."""
     with bench.session(kind) as session:
         session.start()
-        outputs = bench.outputs()
+        outputs = bench.reals("output")
         bad = ~np.isfinite(session.values(outputs))
         if bad.any():
             names = [v.name for v, b in zip(outputs, bad, strict=True) if b]
@@ -33,7 +33,7 @@ def start(bench: Bench, kind: str) -> Iterator[Finding]:
 
 def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
     """Its outputs can be read in initialization mode and keep their values when it ends."""
-    outputs = bench.outputs()
+    outputs = bench.reals("output")
     if not outputs:
         raise Skipped("it has no real outputs")
     own = [*bench.reals("output"), *bench.reals("local")]
@@ -82,7 +82,7 @@ def time(bench: Bench, kind: str) -> Iterator[Finding]:
     if not clocks:
         raise Skipped("it has no variable for the time")
     with bench.session(kind) as session:
-        session.start(start_time=session.start_time + bench.step_size(kind))
+        session.start(start_time=bench.start + bench.step_size(kind))
         if kind == "CoSimulation":
             variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
             if not list(session.steps(_WHOLE if variable else bench.step_size(kind), 1)):
@@ -251,7 +251,7 @@ def few_numbers(session: Session, other: Session | None = None, *, started: bool
 
 def _recorded(bench: Bench) -> list[Described]:
     """Return the outputs, and the variable of the time."""
-    return [*bench.outputs(), *bench.reals("independent")]
+    return [*bench.reals("output"), *bench.reals("independent")]
 
 
 def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:

@@ -45,7 +45,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
     end, made, looked = monotonic() + _FOR_STEPS * bench.timeout, 0, 0
-    stop, outputs, used = bench.experiment("stopTime"), bench.outputs(), [memory_in_use()]
+    stop, outputs, used = bench.experiment("stopTime"), bench.reals("output"), [memory_in_use()]
     with bench.session(kind) as session:
         session.start()
         try:
@@ -81,7 +81,7 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
     _needs_free_steps(bench, kind)
     size = bench.step_size(kind)
     with bench.session(kind) as session:
-        ends = session.start_time
+        ends = bench.start
         for _ in range(_FEW_STEPS):
             ends += size
         limit = np.nextafter(ends, -np.inf)  # which the last step exceeds by a rounding error
@@ -115,8 +115,8 @@ def _own_steps_fail(bench: Bench, kind: str, until: float) -> bool:
     with bench.session(kind) as session:
         session.start()
         try:
-            for i in range(int((until - session.start_time) / size) + 1):
-                end = session.start_time + (i + 1) * size
+            for i in range(int((until - bench.start) / size) + 1):
+                end = bench.start + (i + 1) * size
                 for _ in session.steps(end - session.time, 1):
                     session.time = end
         except Exception:
@@ -176,7 +176,7 @@ def memory(bench: Bench, kind: str) -> Iterator[Finding | Note]:
 
 def _leaking_calls(bench: Bench, kind: str, seconds: float) -> Iterator[Finding]:
     """Repeat each call that importers make often on one instance, for some time in all."""
-    inputs, states = bench.reals("input", "continuous"), bench.outputs()
+    inputs, states = bench.reals("input", "continuous"), bench.reals("output")
     with suppress(Skipped):
         states = [state for state, _ in bench.states()]
     with bench.session(kind) as session:
@@ -218,7 +218,7 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
     rule = TRIAL_RULES["exchange"]
     with bench.session(kind) as session:
         session.start()
-        if session.next_event < session.start_time:
+        if session.next_event < bench.start:
             yield rule.at(kind, f"its next event is at {session.next_event:.6g} s, in the past")
         nominals = session.all_of("getNominalsOfContinuousStates", len(states))
         if not (np.isfinite(nominals) & (nominals > 0)).all():
@@ -265,7 +265,7 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
 def _remembered(session: Session, variables: Sequence[Described]) -> Iterator[Finding]:
     """Reach one time from a near and from a far time: variables do not remember the way."""
     size = 0.1 * session.bench.step_size(session.kind)
-    start, found = session.start_time, list[Vector]()
+    start, found = session.bench.start, list[Vector]()
     if session.next_event <= start + 50 * size:
         return
     for before in (start, start + 50 * size):
@@ -282,7 +282,7 @@ def _remembered(session: Session, variables: Sequence[Described]) -> Iterator[Fi
 
 def calls(bench: Bench, kind: str) -> Iterator[Finding]:
     """It tells its version; its outputs can be read after the end, as the last step left them."""
-    outputs = bench.outputs()
+    outputs = bench.reals("output")
     with bench.session(kind) as session:
         instance = session.instance
         second = {"fmi2GetVersion": "2.0", "fmi2GetTypesPlatform": "default"}
