@@ -277,7 +277,7 @@ class _Course:
         self._accept(piece, end)
         piece.let_go()
         self.window *= 2
-        arrived = replace(piece.at_end(), t=end)
+        arrived = piece.at_end()
         if end in (self._next_due(), jump, rest):
             following = self._with_inputs(arrived) if end in (jump, rest) else arrived
             self._switch(following)

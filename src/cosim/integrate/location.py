@@ -111,7 +111,8 @@ class Piece:
             found = self._run(problem, times[apart], x, z)
             states = np.hstack((ahead[0], found.states))
             return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
-        problem = replace(problem, times=times.tobytes())
+        if times.tobytes() != problem.times:
+            problem = replace(problem, times=times.tobytes())
         left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start, in_pieces=True)
@@ -248,14 +249,12 @@ class Piece:
 def with_slopes(
     dae: Dae, series: InputSeries | None, row: Vector, times: Vector
 ) -> tuple[Vector, Vector]:
-    """Return a row of inputs at each time, some of which follow a series, and their slopes.
-
-    Without a series, the results cannot be written to.
-    """
+    """Return a row of inputs at each time, some of which follow a series, and their slopes."""
     size = len(times), len(row)
+    u, du = np.empty(size), np.zeros(size)
+    u[:] = row
     if series is None:
-        return np.broadcast_to(row, size), np.broadcast_to(0.0, size)
-    u, du = np.tile(row, (len(times), 1)), np.zeros(size)
+        return u, du
     known = [variable.name for variable in dae.inputs]
     places = [known.index(name) for name in series.names]
     u[:, places] = series.at(times).T
