@@ -225,7 +225,7 @@ _FACTOR = re.compile(rf"({_LETTERS})(?:(?:\^|\*\*)?([-+]?\d{{1,2}})(?!\d))?|1(?!
 _SEPARATOR = re.compile(r"\s*([.*\u00b7/-]|\s)\s*")
 _ENDS = r"(?=\s*(?:/|$))"  # no power or factor may follow
 _BRACKETS = re.compile(rf"\(([^()/]*)\){_ENDS}")
-_BY_A_QUOTIENT = re.compile(rf"(.*)/\s*\(([^()/]*)/([^()/]*)\){_ENDS}")
+_BY_A_QUOTIENT = re.compile(rf"\A(.*)/\s*\(([^()/]*)/([^()/]*)\){_ENDS}")
 
 
 def single_unit(name: str) -> Unit | None:
