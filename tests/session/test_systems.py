@@ -1,65 +1,19 @@
 """Sessions of systems with FMUs as parts: the bits of whole runs, and going back as one."""
 
 import random
-import sys
 from math import exp
 
 import numpy as np
 import pytest
-from helpers.detours import detour, sample_after_another_begin, straight
-from helpers.exchange_only import WITHOUT_STATE, exchange_only
+from helpers.detours import detour, straight
 from helpers.foreign_part import foreign_part
-from helpers.session_models import driven_ball
+from helpers.session_systems import EVERY_WAY, LINUX, LOOP, STEP, WAYS, balls, lags
 
 import cosim
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Access
-from cosim.session.saved import packed, unpacked
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
-STEP = 0.01
-LOOP = {"motor.u": "load.y", "load.u": "motor.y"}
-WAYS = [
-    {"macro_step": STEP},
-    {"macro_step": STEP, "method": "jacobi"},
-    {"macro_step": STEP, "method": "gauss_seidel"},
-    {"macro_step": STEP, "method": "extrapolated"},
-    {},
-]
-EVERY_WAY = pytest.mark.parametrize("way", WAYS, ids=lambda way: "-".join(map(str, way.values())))
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("parts")
-    ball = cosim.export_fmu(driven_ball(), folder / "ball.fmu", fmi=3)
-    exchange = cosim.export_fmu(driven_ball(), folder / "exchange.fmu", fmi=3)
-    return {
-        "ball": ball,
-        "exchange": exchange_only(exchange),
-        "stateless": exchange_only(exchange, **WITHOUT_STATE),
-        "lag": foreign_part(folder, "lag"),
-        "keeper": foreign_part(folder, "lag", canSerializeFMUstate="false"),
-        "forward": foreign_part(
-            folder, "lag", canGetAndSetFMUstate="false", canSerializeFMUstate="false"
-        ),
-        "fixed": foreign_part(
-            folder, "lag", canHandleVariableCommunicationStepSize="false", step_size=STEP
-        ),
-        "rounds": foreign_part(folder, "lag", grid=1e-5),
-    }
-
-
-def lags(files, motor="lag", load="lag", wires=LOOP):
-    """Two lags, x' = u - x; in a loop from 1 and 0, motor.x(t) = (1 + exp(-2t))/2."""
-    parts = {"motor": files[motor], "load": files[load]}
-    return cosim.couple(parts, wires, start_values={"motor.x": 1.0}, stop_time=1.0)
-
-
-def balls(files, ball):
-    """A ball with impacts and samples and what follows it, with an input left."""
-    wires = {"lag.u": "ball.h"}
-    return cosim.couple({"ball": files[ball], "lag": files["lag"]}, wires, stop_time=1.0)
+pytestmark = LINUX
 
 
 SYSTEMS = {
@@ -138,28 +92,6 @@ def test_start_is_that_of_the_system_and_nothing_moves_by_itself(files):
         assert session.advance(0) == session.advance(to=0.0) == ()
         np.testing.assert_array_equal(session.get(["motor.x", "load.x", "load.u"]), start)
         assert (session.time, session.stop, session.invalid) == (0.0, None, None)
-
-
-@EVERY_WAY
-def test_state_saved_at_an_event_goes_on_behind_it(way, files):
-    """The first sample is at 0.05, the second at 0.18; the control is -v/2 = 9.81 t/2 at first."""
-    with cosim.open(balls(files, "ball"), **way) as session:
-        before = session.save()
-        (first,) = session.advance(to=0.05)
-        assert (first.name, first.time) == ("ball: control", pytest.approx(0.05, abs=1e-16))
-        assert session["ball.pull"] == pytest.approx(9.81 * 0.05 / 2, abs=1e-9)
-        at, pull = session.save(), session["ball.pull"]
-        (second,) = session.advance(to=0.2)
-        assert second.time == pytest.approx(0.18, abs=1e-12)
-        after = session["ball.pull"]
-        session.restore(at)
-        assert (session["ball.pull"], session.advance(0)) == (pull, ())
-        (again,) = session.advance(to=0.2)
-        assert (again.time, session["ball.pull"]) == (second.time, after)
-        session.restore(before)
-        assert (session.time, session["ball.pull"]) == (0.0, 0.0)
-        assert [event.time for event in session.advance(to=0.2)] == [first.time, second.time]
-        assert session["ball.pull"] == pytest.approx(after, abs=1e-6)
 
 
 @EVERY_WAY
@@ -264,65 +196,6 @@ def test_failure_after_a_rejected_value_ends_the_session(files, tmp_path, monkey
         assert session["root.x"] == pytest.approx(exp(-0.5), abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("own", "others"),
-    [
-        ({"macro_step": 0.1}, {"macro_step": 0.01}),
-        ({"macro_step": 0.01}, {"macro_step": 0.1}),
-        ({"macro_step": 0.1}, {}),
-        ({"macro_step": 0.1}, {"macro_step": 0.1, "method": "jacobi"}),
-        ({"macro_step": 0.1}, {"macro_step": 0.1, "relative_tolerance": 1e-3}),
-        ({"accuracy": 1e-3}, {"accuracy": 1e-9}),
-    ],
-)
-def test_states_of_sessions_with_other_settings_are_rejected(own, others, files):
-    system = lags(files)
-    with cosim.open(system, **own) as first, cosim.open(system, **others) as second:
-        first.advance(to=0.2)
-        with pytest.raises(UsageError, match="or with another macro_step, method, accuracy or to"):
-            second.restore(first.save())
-        assert second.time == 0.0
-        second.advance(to=0.1)  # it goes on
-
-
-def test_a_state_of_parts_with_other_abilities_changes_nothing(files):
-    """A part for model exchange has another state than one for co-simulation."""
-    part, way = {"ball": files["ball"]}, {"macro_step": 0.1}
-    exchange = cosim.couple(part, {}, abilities={"ball": "no co-simulation"})
-    with cosim.open(cosim.couple(part, {}), **way) as first, cosim.open(exchange, **way) as second:
-        second.advance(to=0.1)
-        height = second["ball.h"]
-        with pytest.raises(UsageError, match="saved by another session or system"):
-            second.restore(first.save())
-        assert (second.time, second["ball.h"]) == (0.1, height)
-
-
-@EVERY_WAY
-def test_state_from_before_a_reset_to_another_time_goes_on_with_the_same_bits(way, files):
-    with cosim.open(lags(files), **way) as session:
-        session.advance(to=0.1)
-        saved = session.save()
-        session.advance(to=0.523)
-        expected = session.get()
-        session.reset(start_time=5.003)
-        session.restore(saved)
-        session.advance(to=0.523)
-        np.testing.assert_array_equal(session.get(), expected)
-
-
-def test_state_that_a_part_rejects_is_an_error(files):
-    with cosim.open(balls(files, "ball")) as session:
-        content = session.save()
-        owner, clock, place, notes, size = unpacked("balls", content, has_sum=False)
-        damaged = bytearray(content[:size])
-        damaged[-100] ^= 1
-        saved = packed(owner, clock, place, notes, bytes(damaged), has_sum=False)
-        with pytest.raises(FmuError, match=r"part 'ball': .*rejects the saved state"):
-            session.restore(saved)
-        session.reset()
-        assert session.time == 0.0
-
-
 def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
     model = cosim.Model("limited", stop_time=1.0)
     x, u = model.state("x", "1", 0.0, "state"), model.input("u", "1", 0.0, "input")
@@ -341,12 +214,6 @@ def test_copy_has_the_events_and_the_violation_of_its_session(tmp_path, files):
             (event,), (same,) = session.advance(to=0.6), other.advance(to=0.6)
             assert (event.name, event.time) == (same.name, same.time)
             assert event.name == "a: above"
-
-
-@EVERY_WAY
-def test_state_of_another_begin_brings_no_event_of_this_one(way, files):
-    with cosim.open(balls(files, "ball"), **way) as session:
-        assert sample_after_another_begin(session) == ("ball: control", 0.05)
 
 
 def test_part_that_ends_the_run_is_named_with_the_time(files):
@@ -434,18 +301,6 @@ def test_wrong_calls_say_why_and_change_nothing(call, kind, words, files):
         with pytest.raises(kind, match=words):
             call(session)
         np.testing.assert_array_equal((session.time, *session.get()), (time, *values))
-
-
-def test_states_of_other_systems_and_damaged_ones_are_rejected(files):
-    with cosim.open(lags(files)) as session, cosim.open(balls(files, "ball")) as other:
-        saved = session.save()
-        with pytest.raises(UsageError, match="saved by another session or system"):
-            other.restore(saved)
-        for place in range(0, len(saved), 7):
-            damaged = bytearray(saved)
-            damaged[place] ^= 1 << place % 8
-            with pytest.raises(UsageError, match="damaged"):
-                session.restore(bytes(damaged))
 
 
 # -- from files -----------------------------------------------------------------------------------
