@@ -246,26 +246,14 @@ class _Course:
         later = (times[times.searchsorted(at.t, "right") :] for times in ends)
         jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
         last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
-        end = min(due, jump, float(grid[last]), pulse)
-        rest = self._next_rest(at, series, end)
-        end = min(end, rest)
-        left = None if self.kernel is None else self.kernel.switching.numbers.copy()
-        while True:
-            rows = grid[self.next :][grid[self.next :] < end]
-            piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
-            earlier = self._rest_after(piece.passed, series, end)
-            if self.kernel is None or piece.reason == INTERRUPTED or earlier >= end:
-                break
-            self.kernel.switching.numbers[:] = left  # again, up to there
-            end = rest = earlier
+        piece, rest = self._piece_to(min(due, jump, float(grid[last]), pulse), series)
         self._pass(piece)
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
-            event = found.at
-            self._accept(piece, event.t)
+            self._accept(piece, found.at.t)
             passed, self.event_row = self.next - self.event_row, self.next
             self.window = max(self.least_window, int(_SOON * passed))
-            self._switch(event, found.first)
+            self._switch(found.at, found.first)
             return Ending()
         if piece.reason:
             self._accept(piece, np.inf)
@@ -274,19 +262,34 @@ class _Course:
                 return piece.reason
             self.at, self.window = piece.at_end(), self.least_window
             return Ending()  # a fresh start may succeed
-        self._accept(piece, end)
+        arrived = piece.at_end()
+        self._accept(piece, arrived.t)
         piece.let_go()
         self.window *= 2
-        arrived = piece.at_end()
-        if end in (self._next_due(), jump, rest):
-            following = self._with_inputs(arrived) if end in (jump, rest) else arrived
+        if arrived.t in (self._next_due(), jump, rest):
+            following = self._with_inputs(arrived) if arrived.t in (jump, rest) else arrived
             self._switch(following)
         elif last_event := located_at_end(piece):
             self._switch(last_event.at, last_event.first)
         else:
             self.at = self._with_inputs(arrived)
-            self._write(end)
+            self._write(arrived.t)
         return Ending()
+
+    def _piece_to(self, end: float, series: InputSeries | None) -> tuple[Piece, float]:
+        """Integrate to a time, s, or to where inputs rest at a threshold; return that time, too."""
+        at, grid = self.at, self.grid
+        rest = self._next_rest(at, series, end)
+        end = min(end, rest)
+        left = None if self.kernel is None else self.kernel.switching.numbers.copy()
+        while True:
+            rows = grid[self.next :][grid[self.next :] < end]
+            piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
+            earlier = self._rest_after(piece.passed, series, end)
+            if self.kernel is None or piece.reason == INTERRUPTED or earlier >= end:
+                return piece, rest
+            self.kernel.switching.numbers[:] = left  # an event has moved a threshold there
+            end = rest = earlier
 
     def _next_due(self) -> float:
         """Return the next time event, s; where an input jumps or a row is, but for rounding."""
@@ -327,9 +330,8 @@ class _Course:
         states, inputs = self.system.resting_on
         for before, after, *_ in passed:
             moved = (before.x != after.x)[states].any()
-            if not moved and not (before.inputs != after.inputs)[inputs].any():
-                continue
-            if (rest := self._next_rest(after, series, end)) < end:
+            moved |= (before.inputs != after.inputs)[inputs].any()
+            if moved and (rest := self._next_rest(after, series, end)) < end:
                 return rest
         return np.inf
 
