@@ -160,7 +160,7 @@ def _run_words(words: Sequence[str], *, own_process: bool) -> int:
     args = _parsed(words)
     named = [value for name, value in vars(args).items() if name != "output_file"]
     given = [word for value in named for word in (value if isinstance(value, list) else [value])]
-    runs_code = args.verb != "info"
+    runs_code = "trust" in args  # which verbs that run the code of files ask for
     foreign = runs_code and any(isinstance(w, str) and w.endswith(".fmu") for w in given)
     if not foreign or not own_process:
         return _run_verb(args, foreign=foreign)
