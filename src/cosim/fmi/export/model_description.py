@@ -214,8 +214,6 @@ _OF_DERIVATIVES = {
     "providesDirectionalDerivatives",
     "maxOutputDerivativeOrder",
 }
-
-
 _OF_UPDATES = {"canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate"}
 
 

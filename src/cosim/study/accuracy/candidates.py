@@ -4,7 +4,6 @@ They are measured natively, with the model's own values and span, and cached und
 equations, values, outputs, solvers, versions and machine.
 """
 
-import hashlib
 import json
 import os
 import platform
@@ -20,6 +19,7 @@ from cosim.errors import CosimError
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.run import run
 from cosim.integrate.solvers import requested_solver
+from cosim.memo import digest_of
 from cosim.model.request import Policy, RunRequest
 from cosim.study.pareto import pareto_front
 from cosim.verify.comparison import compare
@@ -116,7 +116,7 @@ def _key(request: RunRequest, compiled: bool) -> str:
     names = solvers(request.dae, compiled=compiled)
     facts = (_FORMAT, version("cosim-rigid"), names, TOLERANCES)
     text = repr((reference_key(request), request.dae.full_name, facts, compiler, machine))
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    return digest_of((text.encode(),))[:32]
 
 
 def _measured(request: RunRequest, compiled: bool, entry: str, *, stiff: bool) -> Candidates:
