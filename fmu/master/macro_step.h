@@ -3,7 +3,7 @@
  * Each input is a cubic through values and rates at both ends; the parts are rolled back and step
  * again until the interface at the end agrees with what they were given. What the cubic before the
  * step predicts for its end differs from that by four powers of the step: that is the estimate of
- * the error.
+ * the error. After an event, outputs in the middle of the step tell it.
  *
  * Source  Arnold, Clauss, Schierz, Arch. Mech. Eng. 60, 2013, 75-94 (error of macro steps).
  */
