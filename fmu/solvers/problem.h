@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "ode.h"
+#include "projection.h"
 
 #if !defined NZ || !defined NU || !defined NC
 #error "define NZ, NU and NC: how many algebraic unknowns, inputs and constants there are"
@@ -45,6 +46,16 @@ static inline int equations_at(Problem *self, double t, const double *x, double 
     self->res[1] = z;
     ++self->calls;
     return self->rhs(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* Moves a state to where the invariants vanish, if there are any; returns 0 where it has succeeded.
+ */
+static inline int restore(const Problem *self, double t, double *x) {
+    if (!self->project) return 0;
+    self->arg[2] = self->u;
+    self->arg[3] = self->c;
+    const Work work = {self->arg, self->res, self->iw, self->w};
+    return project_state(self->project, &work, t, x);
 }
 
 static inline int problem_slope(void *problem, double t, const double *x, double *dx) {
