@@ -20,9 +20,19 @@ from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.text import violated
 
+_WORK = re.compile(r"\*sz_(arg|res|iw|w) = (\d+);")
 
-def model_header(plan: Plan, guid: str) -> str:
-    """Return `model.h`: sizes and names for compiling the runtime."""
+
+def work_sizes(equations: str) -> str:
+    """Return the definitions of the work space that CasADi's functions in a C code need."""
+    most = dict.fromkeys(("arg", "res", "iw", "w"), 0)
+    for kind, size in _WORK.findall(equations):
+        most[kind] = max(most[kind], int(size))
+    return "".join(f"#define WORK_{kind.upper()} {size}\n" for kind, size in most.items())
+
+
+def model_header(plan: Plan, guid: str, equations: str) -> str:
+    """Return `model.h`: sizes and names for compiling the runtime with the equations' code."""
     dae, options, step_size = plan.dae, plan.options, plan.step_size
     stages, order = of_fixed_steps(plan.solver)
     bounds = bounded_limits(dae, plan.system)
@@ -54,7 +64,7 @@ def model_header(plan: Plan, guid: str) -> str:
 #define ORDER_OF_STEPS {order}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae, plan.solver)}
-{_event_sizes(plan.system)}#endif
+{work_sizes(equations)}{_event_sizes(plan.system)}#endif
 """
 
 
