@@ -15,9 +15,6 @@
 /* Codes 0 to 3 are those of CasADi's own integrators. */
 enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT, STIFF };
 
-/* What such a function needs to work. */
-typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
-
 typedef struct {
     Equations *rhs;     /* (t, x, z guess, u, c) -> (dx/dt, z) */
     Equations *project; /* see projection.h; NULL where nothing is corrected */

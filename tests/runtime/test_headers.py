@@ -26,7 +26,7 @@ SIZES = {
     "NB": 1,
     "LIMITS_OF_TIME": 1,
 }
-SIZES |= {"LAWS_ARG": 9, "LAWS_RES": 5, "LAWS_IW": 1, "LAWS_W": 1}
+SIZES |= {"WORK_ARG": 9, "WORK_RES": 5, "WORK_IW": 1, "WORK_W": 1}
 SIZES |= dict.fromkeys(("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED"), 1)
 SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]

@@ -8,6 +8,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
+from cosim.codegen.casadi_library import work_sizes
 from cosim.codegen.fmu.equations import bounded_limits, generated_code
 from cosim.codegen.fmu.solver import most_trials, of_fixed_steps
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
@@ -19,16 +20,6 @@ from cosim.fmi.export.events import LEAST_STEPS, fmu_pulses
 from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.text import violated
-
-_WORK = re.compile(r"\*sz_(arg|res|iw|w) = (\d+);")
-
-
-def work_sizes(equations: str) -> str:
-    """Return the definitions of the work space that CasADi's functions in a C code need."""
-    most = dict.fromkeys(("arg", "res", "iw", "w"), 0)
-    for kind, size in _WORK.findall(equations):
-        most[kind] = max(most[kind], int(size))
-    return "".join(f"#define WORK_{kind.upper()} {size}\n" for kind, size in most.items())
 
 
 def model_header(plan: Plan, guid: str, equations: str) -> str:
