@@ -22,7 +22,7 @@ typedef struct {
 
 /* Moves the state of a time, where u and c are already passed; returns 0 where it has succeeded. */
 static inline int project_state(Equations *project, const Work *work, double t, double *x) {
-    double moved[NX], change = 0;
+    double moved[NX] = {0}, change = 0;
     work->arg[0] = &t;
     work->arg[1] = x;
     work->res[0] = moved;
