@@ -115,7 +115,7 @@ class TrialResults:
 
 
 def try_apart(
-    path: str | os.PathLike[str], *, timeout: float = 120.0, trials: Sequence[Trial] = TRIALS
+    path: str | os.PathLike[str], *, timeout: float, trials: Sequence[Trial] = TRIALS
 ) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `chosen_limits`.
 
@@ -129,7 +129,7 @@ def try_apart(
     timeout = time_limit_from(str(path), timeout)
     chosen_limits()
     with own_folder() as folder, unpacked(path) as files:
-        bench = Bench(files, str(path))
+        bench = Bench(files, str(path), timeout)
         try:
             offered = bench.described.interfaces
         except ValueError as error:
