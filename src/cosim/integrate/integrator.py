@@ -236,21 +236,19 @@ class _HybridRuns:
     solver: Solver
     compiled: bool
 
-    def ends(self, x: Vector, p: Vector, u: Vector) -> list[Vector]:
+    def ends(self, x: Vector, p: Vector, u: Vector, model: Dae | None = None) -> list[Vector]:
         """Return states and algebraic unknowns at the output times, (nx, n) and (nz, n).
 
         Args:
             x: Start values, (nx,).
             p: Parameters.
             u: Inputs, one column for each interval that ends at an output time, (nu, n).
+            model: Runs in place of `dae`, with the same events.
 
         Raises:
             SolverError: A run fails, or ends before the last time.
         """
-        return self._ends(self.dae, x, p, u)
-
-    def _ends(self, dae: Dae, x: Vector, p: Vector, u: Vector) -> list[Vector]:
-        times, grid = self.times, times_between(self.dae, self.times)
+        dae, times, grid = model or self.dae, self.times, times_between(self.dae, self.times)
         held, inputs = u[:, 1:], None
         changes = 1 + np.flatnonzero((np.diff(held) != 0).any(axis=0))
         if len(changes):
@@ -282,11 +280,10 @@ class _HybridRuns:
         for along in np.diag(np.maximum(np.abs(own), nominal)):  # far above absolute tolerances
             by_x, by_p, by_u = np.split(along, np.cumsum([len(x), len(p)]))
             moved = np.concatenate((u, by_u.reshape(n, -1).T))
-            states, unknowns = self._ends(
-                _variational(dae), np.append(x, by_x), np.append(p, by_p), moved
-            )
-            both = np.concatenate((states[nx:].T.ravel(), unknowns[nz:].T.ravel()))
-            columns.append(both / along.sum())
+            both = np.append(x, by_x), np.append(p, by_p)
+            states, unknowns = self.ends(*both, moved, _variational(dae))
+            rates = np.concatenate((states[nx:].T.ravel(), unknowns[nz:].T.ravel()))
+            columns.append(rates / along.sum())
         blocks = list[Vector]()
         for rows in np.split(np.transpose(columns), [n * len(x)]):
             by_x, by_p, by_u = np.split(rows, np.cumsum([len(x), len(p)]), axis=1)
