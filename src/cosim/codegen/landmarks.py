@@ -152,7 +152,7 @@ def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
 
 
 def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
-    """Return changes in groups that move alike; what two equations scale apart is one change."""
+    """Return changes in groups of one direction; one with two factors in the equations is one."""
     groups = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
     for change in changes:
         key = change.term.variable.element_hash(), change.places.tobytes()
