@@ -45,8 +45,7 @@ static inline int equations_at(Problem *self, double t, const double *x, double 
     return self->rhs(self->arg, self->res, self->iw, self->w, 0);
 }
 
-/* Moves a state to where the invariants vanish, if there are any; returns 0 where it has succeeded.
- */
+/* Moves a state to where the invariants vanish, if there are any; 0 is success. */
 static inline int restore(const Problem *self, double t, double *x) {
     if (!self->project) return 0;
     self->arg[2] = self->u;
