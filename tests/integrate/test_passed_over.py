@@ -109,6 +109,21 @@ def test_two_bumps_in_one_step_are_both_seen():
     assert abs(run["x_2"][-1] / right - 1) < 1e-4
 
 
+@pytest.mark.slow_rows("dop853")
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
+def test_a_bump_under_a_damper_is_seen_although_its_push_and_pull_cancel(solver):
+    width, x = 1e-2, SX.sym("x", 3)
+    c = (x[0] - PLACE) / width
+    rising = SPEED * HEIGHT * -2 * c / width * ca.exp(-(c**2))  # of the ground, m/s
+    laws = {"x": x, "ode": ca.vertcat(SPEED, x[2], -25 * x[1] - (x[2] - rising))}
+    dae = cosim.from_casadi(laws, name="damper", stop_time=7, output_interval=0.5)
+    run = cosim.simulate(dae, solver=solver)
+    t, w = 7 - PLACE / SPEED, np.sqrt(25 - 0.25)
+    area = HEIGHT * width * np.sqrt(np.pi) / SPEED
+    right = area * np.exp(-t / 2) * (np.cos(w * t) - np.sin(w * t) / (2 * w))
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2  # before: 1
+
+
 @pytest.mark.parametrize(("place", "share"), [(0.0, 0.5), (69.9, 1.0)])
 def test_bumps_at_the_start_and_near_the_end_are_seen(place, share):
     dae = on_road(lambda s: HEIGHT * ca.exp(-(((s - place) / 1e-2) ** 2)), output_interval=0.5)

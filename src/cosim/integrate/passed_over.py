@@ -325,7 +325,7 @@ def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
-    """Return whether the states in a place do not change as the integral of their rates tells.
+    """Return whether the states in a place do not change as the integrals of their rates tell.
 
     Args:
         motion: With rows at the times of the place.
@@ -344,9 +344,9 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
             continue
         t, x = motion.time[at], motion.states[:, at]
         rates = rates_at(motion, at, p)
-        fine, coarse = _simpson(t, rates), _simpson(t[::2], rates[:, ::2])
-        off = np.abs(x[:, -1] - x[:, 0] - fine)
-        if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
+        fine, coarse = _simpson(t, rates)[:, 1::2], _simpson(t[::2], rates[:, ::2])
+        off = np.abs(x[:, 4::4] - x[:, :1] - fine)
+        if (off > np.maximum(least[:, None], _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
 
@@ -361,11 +361,11 @@ def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> b
 
 
 def _simpson(t: Vector, rows: Vector) -> Vector:
-    """Return the integrals of rows over pairs of intervals that need not be equal."""
+    """Return the integrals of rows up to every second time; intervals need not be equal."""
     a, b = np.diff(t)[::2], np.diff(t)[1::2]
     weights = 2 - b / a, (a + b) ** 2 / (a * b), 2 - a / b
     parts = (w * rows[:, i : i + 2 * len(a) : 2] for i, w in enumerate(weights))
-    return np.asarray((sum(parts) * (a + b) / 6).sum(axis=1))
+    return np.asarray((sum(parts) * (a + b) / 6).cumsum(axis=1))
 
 
 def _divided(motion: Motion, place: Place, p: Vector, ends: Vector) -> Vector:
