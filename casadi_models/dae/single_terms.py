@@ -29,19 +29,21 @@ class _Node(NamedTuple):
         moving: The position of the only quantity that moves it, `_NONE` or `_MANY`.
         terms: The terms of which it is the sum, if one quantity moves it.
         is_local: Whether it may change within a small part of the quantity's way.
+        inner: The local terms of sums in it, whose changes are small beside the other terms.
     """
 
     value: SX
     moving: int
     terms: tuple["_Node", ...]
     is_local: bool
+    inner: tuple["_Node", ...] = ()
 
 
 def single_terms(dae: Dae) -> dict[int, SX]:
     """Return the terms that depend on time or a single state, and may rest and change on its way.
 
     These are the largest such subexpressions of dx/dt and of the algebraic equations, except that
-    a sum is split into its terms. Tables and other functions that are called count as terms.
+    a sum is split into its terms, also one within another term. Tables and other functions that are called count as terms.
 
     Returns:
         Expressions of a state and `dae.p` by the position of the state, (n, 1) each; those of
@@ -82,9 +84,10 @@ def _terms(dae: Dae) -> list[_Node]:
     for node, operands in _nodes(dae):
         nodes[_key(node)] = node
         if node.moving == _MANY:
-            found |= {_key(term): term for operand in operands for term in operand.terms}
+            found |= {_key(t): t for operand in operands for t in operand.terms + operand.inner}
     for root in _roots(dae):
-        found |= {_key(term): term for term in nodes[root.element_hash()].terms}
+        node = nodes[root.element_hash()]
+        found |= {_key(term): term for term in node.terms + node.inner}
     return list(found.values())
 
 
@@ -131,7 +134,11 @@ def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
         return _Node(value, moving, (), is_local=False)
     divides = code != ca.OP_DIV or operands[-1].moving == moving
     is_local = (code in _LOCAL and divides) or any(operand.is_local for operand in operands)
-    node = _Node(value, moving, (), is_local)
+    inner = {_key(term): term for operand in operands for term in operand.inner}
+    if code not in SUMS:
+        sums = [operand.terms for operand in operands if len(operand.terms) > 1]
+        inner |= {_key(term): term for own in sums for term in own if term.is_local}
+    node = _Node(value, moving, (), is_local, tuple(inner.values()))
     terms = tuple(term for operand in operands for term in operand.terms)
     return node._replace(terms=terms if code in SUMS else (node,))
 
