@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
@@ -24,12 +24,14 @@ class Changes(NamedTuple):
         parts: Begin and end of each, in order.
         low, high: Range of the function, as far as it is known.
         unknown: Begins of the cells in which it may be no line, although they were halved.
+        pinched: Those of cells as narrow as rounding in which it may leave its value and return.
     """
 
     parts: list[tuple[float, float]]
     low: float
     high: float
     unknown: Vector
+    pinched: Vector = np.empty(0)
 
     @property
     def is_whole(self) -> bool:
@@ -49,13 +51,30 @@ Bounds = Callable[[Vector, Vector], Vector]  # begins and widths of cells -> dis
 def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vector) -> list[Vector]:
     """Return where a function bends within cells, by samples where bounds do not tell: edges.
 
+    Where it leaves its value for less than rounding, there is one edge.
+
     Args:
         values, bounds, edges: See `changing_parts`; bounds are None if there are none.
         knots: Values of the variable at which the function has samples of its own.
     """
     changes = unseen(edges) if bounds is None else changing_parts(values, bounds, edges)
     sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes)
-    return apart(sorted({*changes.parts, *sampled}))
+    found = list(changes.pinched[:, None])
+    for own in apart(sorted({*changes.parts, *sampled})):
+        if np.ptp(own) > _ROUNDINGS * np.spacing(np.abs(own).max()):
+            found.append(own)
+        elif _returns(values, own[:1], own[-1:] - own[:1], np.ptp(values(own))):
+            found.append(own[:1])
+    return found
+
+
+def _returns(values: Values, begins: Vector, widths: Vector, sizes: Vector) -> Truths:
+    """Return whether a function has, beyond both ends of narrow cells, one value."""
+    if not len(begins):
+        return np.empty(0, dtype=bool)
+    room = np.maximum(_ROUNDINGS * np.spacing(np.abs(begins)), widths)
+    ends = values(np.concatenate((begins - room, begins + widths + room))).reshape(2, -1)
+    return np.asarray(np.ptp(ends, axis=0) <= _STRAIGHT * sizes)
 
 
 def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
@@ -72,7 +91,8 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         return unseen(edges)
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
     begins, widths = edges[:-1], np.diff(edges)
-    least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
+    least = np.maximum(widths * 2.0**-_DEEPEST, np.spacing(np.abs(edges[1:])))
+    halved = np.zeros(len(widths), dtype=bool)
     off = _off(bounds, begins, widths)
     for _ in range(_MOST_ROUNDS):
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
@@ -91,9 +111,12 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
     unknown = begins[~line]
+    deep = ~line & (widths <= least) & np.isfinite(off)
+    pinched = begins[deep][_returns(values, begins[deep], widths[deep], off[deep])]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
-    return Changes(_changing(values, begins, begins + widths, high - low), low, high, unknown)
+    parts = _changing(values, begins, begins + widths, high - low)
+    return Changes(parts, low, high, unknown, pinched)
 
 
 def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:

@@ -127,6 +127,7 @@ def landmarks(dae: Dae) -> Landmarks:
         needed = [change for change in own.values() if not change.is_step or steps > 1]
         name = ", ".join(names[i] for i in movers)
         found += [name] if needed else []
+        is_whole = all(change.is_whole for change in needed)
         if movers == (len(dae.states),):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
             times += [way_of(dae, change.term, change.places, p) for change in fixed]
@@ -139,7 +140,7 @@ def landmarks(dae: Dae) -> Landmarks:
         if len(movers) == 1 and not any(change.is_wave for change in needed):
             needed = _without_repeated(dae, needed, p)
         many = sum(len(change.places) for change in needed) > _MOST
-        if many or not all(change.is_whole for change in needed):
+        if many or not is_whole:
             passed.append(name)
         if not many:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
@@ -188,6 +189,8 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
         seen = values(at)
         step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
         changes.append(_change(term, at, seen, found, bool(step)))
+    if len(found.pinched):  # narrower than the search goes
+        changes.append(_Change(term, found.pinched, is_step=False, is_whole=False))
     return changes
 
 
@@ -251,7 +254,9 @@ def _bent(
         found = changes_between(values, knots)
     else:
         found = unseen(reach)
-    return values, found if found.is_whole else unseen(reach)
+    if not (found.is_whole or len(found.pinched)):
+        found = unseen(reach)
+    return values, found
 
 
 def _change(term: InnerTerm, at: Vector, seen: Vector, found: Changes, is_step: bool) -> _Change:
@@ -284,7 +289,7 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends, dae.p)
     if within is None:
-        return []
+        return None
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
     def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:
