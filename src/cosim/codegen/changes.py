@@ -63,13 +63,13 @@ def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vect
     for own in apart(sorted({*changes.parts, *sampled})):
         if np.ptp(own) > _ROUNDINGS * np.spacing(np.abs(own).max()):
             found.append(own)
-        elif _returns(values, own[:1], own[-1:] - own[:1], np.ptp(values(own))):
+        elif _returns(values, own[:1], own[-1:] - own[:1], np.ptp(values(own), keepdims=True)):
             found.append(own[:1])
     return found
 
 
 def _returns(values: Values, begins: Vector, widths: Vector, sizes: Vector) -> Truths:
-    """Return whether a function has, beyond both ends of narrow cells, one value."""
+    """Return whether a function has, beyond both ends of narrow cells, one value, but for sizes."""
     if not len(begins):
         return np.empty(0, dtype=bool)
     room = np.maximum(_ROUNDINGS * np.spacing(np.abs(begins)), widths)

@@ -386,9 +386,9 @@ def _simpson(t: Vector, rows: Vector) -> Vector:
 def _divided(motion: Motion, place: Place, p: Vector, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
-    values = place.values(Path.of(motion, p).at(t))
-    known = ends[(t[0] <= ends) & (ends <= t[-1])]
+    known: Vector = ends[(t[0] <= ends) & (ends <= t[-1])]
     if len(known) > _MOST_ENDS:
         return known
+    values = place.values(Path.of(motion, p).at(t))
     middles = (known[:-1] + known[1:]) / 2  # those at the ends were too few
     return np.union1d(parted(t, values, float(np.ptp(values))), middles)
