@@ -178,7 +178,8 @@ def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
     divides = code != ca.OP_DIV or operands[-1].moving == moving
     is_local = (code in _LOCAL and divides) or any(operand.is_local for operand in operands)
     inner = {_key(term): term for operand in operands for term in operand.inner}
-    if code not in SUMS:
+    is_scaled = code in (ca.OP_MUL, ca.OP_DIV) and not all(o.terms for o in operands)
+    if code not in SUMS and not is_scaled:
         sums = [operand.terms for operand in operands if len(operand.terms) > 1]
         inner |= {_key(term): term for own in sums for term in own if term.is_local}
     node = _Node(value, moving, (), is_local, tuple(inner.values()))

@@ -111,8 +111,9 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
     unknown = begins[~line]
-    deep = ~line & (widths <= least) & np.isfinite(off)
-    pinched = begins[deep][_returns(values, begins[deep], widths[deep], off[deep])]
+    deep = ~line & (widths <= least) & np.isfinite(off[~line]).all()  # what is near a pole is none
+    sizes = np.fmin(off[deep], high - low)  # bounds may be far beyond what is there
+    pinched = begins[deep][_returns(values, begins[deep], widths[deep], sizes)]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
     parts = _changing(values, begins, begins + widths, high - low)
