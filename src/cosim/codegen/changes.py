@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Vector
 
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
@@ -63,18 +63,16 @@ def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vect
     for own in apart(sorted({*changes.parts, *sampled})):
         if np.ptp(own) > _ROUNDINGS * np.spacing(np.abs(own).max()):
             found.append(own)
-        elif _returns(values, own[:1], own[-1:] - own[:1], np.ptp(values(own), keepdims=True)):
+        elif _returns(values, own, float(np.ptp(values(own)))):
             found.append(own[:1])
     return found
 
 
-def _returns(values: Values, begins: Vector, widths: Vector, sizes: Vector) -> Truths:
-    """Return whether a function has, beyond both ends of narrow cells, one value, but for sizes."""
-    if not len(begins):
-        return np.empty(0, dtype=bool)
-    room = np.maximum(_ROUNDINGS * np.spacing(np.abs(begins)), widths)
-    ends = values(np.concatenate((begins - room, begins + widths + room))).reshape(2, -1)
-    return np.asarray(np.ptp(ends, axis=0) <= _STRAIGHT * sizes)
+def _returns(values: Values, edges: Vector, size: float) -> bool:
+    """Return whether a function has one value, but for a small part of a size, beyond edges."""
+    first, last = edges[[0, -1]]
+    room = max(_ROUNDINGS * np.spacing(np.abs(edges).max()), last - first)
+    return bool(np.ptp(values(np.array([first - room, last + room]))) <= _STRAIGHT * size)
 
 
 def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
@@ -112,12 +110,12 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     line = off <= _STRAIGHT * (high - low)
     unknown = begins[~line]
     deep = ~line & (widths <= least) & np.isfinite(off[~line]).all()  # what is near a pole is none
-    sizes = np.fmin(off[deep], high - low)  # bounds may be far beyond what is there
-    pinched = begins[deep][_returns(values, begins[deep], widths[deep], sizes)]
+    cells = zip(begins[deep].tolist(), (begins + widths)[deep].tolist(), strict=True)
+    pinched = [own[0] for own in apart(sorted(cells)) if _returns(values, own, high - low)]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
     parts = _changing(values, begins, begins + widths, high - low)
-    return Changes(parts, low, high, unknown, pinched)
+    return Changes(parts, low, high, unknown, np.array(pinched))
 
 
 def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:
