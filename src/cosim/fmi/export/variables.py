@@ -141,7 +141,14 @@ def _resting(dae: Dae) -> list[bool]:
 
     moves = (rates(x) != 0).all(axis=1)
     alone = np.eye(len(x), dtype=bool) & moves
-    return [bool(resting(rates, x, group).any()) for group in alone]
+    rest = [bool(resting(rates, x, group).any()) for group in alone]
+    # what is 0 at two places may be a table or a pulse that is not 0 at others
+    return [rests and _is_zero_at_zero(dae, i) for i, rests in enumerate(rest)]
+
+
+def _is_zero_at_zero(dae: Dae, state: int) -> bool:
+    """Return whether the formula of a derivative is 0 where its state is."""
+    return bool(ca.substitute(dae.ode[state], dae.x[state], 0).is_zero())
 
 
 def _settled(dae: Dae) -> list[float | None]:
