@@ -6,6 +6,7 @@
 const THREE = MeshCat.THREE;
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const BODY = 12, LOAD = 6, POINT = 3;
+const FARTHEST = 6; // distance of what a picture must show from its middle, over half the size of the first run
 
 const value = (run, i, j) => run.rows[i * run.across + j * run.down];
 const triple = (run, i, j) => [0, 1, 2].map((k) => value(run, i, j + k));
@@ -267,8 +268,8 @@ class Scene {
     const up = this.up.clone().normalize(), turns = data.live && data.follow >= 0 ? 8 : 1;
     const turned = (p, k) => new THREE.Vector3(...p).sub(this.center)
       .applyAxisAngle(up, (2 * Math.PI * k) / turns).add(this.center);
-    const points = this.actors.flatMap(({ aside }) => data.framed.flatMap((p) =>
-      Array.from({ length: turns }, (_, k) => turned(p, k).add(aside))));
+    const points = this.actors.flatMap((actor) => [...data.framed, ...this.corners(actor)].flatMap((p) =>
+      Array.from({ length: turns }, (_, k) => turned(p, k).add(actor.aside))));
     const reach = Math.max(...points.map((point) => point.distanceTo(this.center)));
     const slope = Math.tan((data.camera.field * Math.PI) / 360), top = Math.min(0.6, (2 * texts) / (height || 1));
     const room = [0.94, 0.94 - top / 2];
@@ -283,6 +284,36 @@ class Scene {
       this.center.addScaledVector(x, middle[0] * slope * camera.aspect * away).addScaledVector(y, middle[1] * slope * away);
       this.from.multiplyScalar(Math.max(...[0, 1].map((k) => (high[k] - low[k]) / 2 / room[k])));
     }
+  }
+
+  /* Outermost corners of the shapes while a run of sliders is valid, where a camera that follows it
+     sees them; a shape that goes far away may leave the picture. */
+  corners(actor) {
+    const { run } = actor, { data } = this, center = new THREE.Vector3(...data.camera.center);
+    if (!data.live || !run) return [];
+    const end = run.invalid_from === null ? run.time[run.time.length - 1] : run.invalid_from;
+    const sides = [-1, 0, 1], outward = sides.flatMap((x) => sides.flatMap((y) => sides.map((z) =>
+      ({ way: new THREE.Vector3(x, y, z), most: -Infinity, corner: new THREE.Vector3() }))));
+    this.root.position.set(0, 0, 0);
+    actor.root.position.set(0, 0, 0);
+    for (let k = 0; k <= 40; ++k) {
+      const t = run.time[0] + ((end - run.time[0]) * k) / 40, along = this.followed(actor, t).add(center);
+      actor.show(t);
+      this.root.updateMatrixWorld(true);
+      for (const mesh of actor.shapes.flatMap(({ group }) => group.children)) {
+        if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
+        const { min, max } = mesh.geometry.boundingBox;
+        for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z]) {
+          const corner = new THREE.Vector3(x, y, z).applyMatrix4(mesh.matrixWorld).sub(along);
+          for (const found of outward) {
+            const size = corner.dot(found.way);
+            if (size > found.most) Object.assign(found, { most: size, corner });
+          }
+        }
+      }
+    }
+    return outward.map(({ corner }) =>
+      corner.clone().clampLength(0, FARTHEST * data.size).add(center).toArray());
   }
 
   /* Puts the camera where it belongs. */
