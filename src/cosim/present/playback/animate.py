@@ -141,7 +141,7 @@ def animate(
     if speed is not None and not (speed := number("animate", "speed", speed)) > 0:
         raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
     if at is not None and not kind.still:
-        raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
+        raise UsageError(f"animate: only a picture shows chosen times; name a .png, not a .{kind}")
     if live is not None and kind is not AnimationFormat.HTML:
         raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
     shown = _shown(runs)

@@ -102,7 +102,7 @@ def _packages(extra: str) -> list[str]:
             path = Path(places[0] if places else "", name)
             if not path.is_file():
                 raise MissingTool(
-                    f"the {package} that pages need is not installed; "
+                    f"{package}, which pages need, is not installed; "
                     f'bring it with: pip install "cosim-rigid[{extra}]"'
                 )
             texts.append(path.read_text(encoding="utf-8"))
