@@ -52,6 +52,25 @@ def test_input_that_nothing_drives_is_listed(toml, capsys):
     assert "driven by nothing: b.u, b.v" in capsys.readouterr().out
 
 
+def test_many_inputs_that_nothing_drives_take_one_short_line(tmp_path, capsys):
+    (tmp_path / "models.py").write_text(
+        "import cosim\n\n\ndef wide():\n"
+        "    model = cosim.Model('wide', stop_time=1.0)\n"
+        "    x = model.state('x', 'm', 0.0, 'place')\n"
+        "    force = sum(model.input(f'u{i}', 'm', 0.0, 'rate') for i in range(60))\n"
+        "    model.derivative(x, force)\n"
+        "    return model.freeze()\n"
+    )
+    path = tmp_path / "wide.toml"
+    path.write_text(
+        "[parts]\na = 'models.py:wide'\nb = 'models.py:wide'\n[connections]\n'b.u0' = 'a.x'\n"
+    )
+    assert main(["info", str(path)]) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if "driven by nothing" in x)
+    assert line.startswith("  driven by nothing: 119 inputs: a.u0, a.u1, ")
+    assert len(line) < 120  # 880 before
+
+
 @pytest.mark.slow_rows("options1")
 @pytest.mark.parametrize("options", [[], ["--method", "jacobi", "--macro-step", "0.5"]])
 def test_run_names_it_once(toml, capsys, options):
