@@ -159,6 +159,21 @@ def test_byte_order_mark_before_the_first_table_is_read(toml, text):
     assert list(read_system(path).parts) == ["a", "b"]
 
 
+@pytest.mark.parametrize(
+    "text", ['["parts"]\na = "{0}"', 'parts.a = "{0}"', "parts = {{a = '{0}'}}", "parts.'a' = '{0}'"]
+)
+def test_every_spelling_of_the_parts_makes_a_system(tmp_path, text):
+    (tmp_path / "system.toml").write_text(text.format("crank_shaft") + "\n")
+    assert is_system(tmp_path / "system.toml")
+    assert list(read_system(tmp_path / "system.toml").parts) == ["a"]
+
+
+def test_scene_that_mentions_parts_is_none(tmp_path):
+    text = 'model = "crank_shaft"\ntitle = """\n[parts]\n"""\n'
+    (tmp_path / "scene.toml").write_text(text)
+    assert not is_system(tmp_path / "scene.toml")
+
+
 def test_system_without_parts_is_rejected(toml):
     with pytest.raises(UsageError, match=r"line 1: \[parts\] is empty"):
         read_system(toml("[parts]\n"))
