@@ -67,7 +67,7 @@ def as_samples(table: Any) -> Samples:
         return read_samples(table)
     if isinstance(table, Mapping):
         return Samples(table)
-    if hasattr(table, "columns") and hasattr(table, "to_numpy"):  # of pandas
+    if hasattr(table, "columns") and hasattr(table, "iloc"):  # of pandas
         return Samples({str(name): table[name].to_numpy() for name in table.columns})
     raise UsageError.of_type("sweep: samples", table, A_TABLE)
 

@@ -61,7 +61,7 @@ def run_settings(keywords: RunKeywords) -> dict[str, Any]:
             raise UsageError(f"sweep: {twice} is given with {solver}; give it once")
         settings |= {"solver": solver.name, **numbers}
     if "output_times" in settings:
-        settings["output_times"] = Times.at(keywords["output_times"] or ()).requested.tolist()
+        settings["output_times"] = Times.at(settings["output_times"]).requested.tolist()
     return settings
 
 
