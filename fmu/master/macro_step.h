@@ -22,7 +22,7 @@ static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
 static const double LONGER = 2.0;   /* of macro steps, times the one before */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
-/* The cubic of an input within the macro step by its derivatives at the time `since` its begin; one
+/* The cubic of an input within the macro step by its derivatives at the time `since` its start; one
  * that has jumped there is the line through value and rate at the end. */
 static inline void cubic_at(const Coupling *self, long long k, double since,
                             double derivatives[4]) {

@@ -50,7 +50,7 @@ class System:
         start_values: By part and variable, in the variable's unit.
         stop_time, output_interval: s; those of the parts when None.
         title: One line.
-        start_time: Begin of its runs, s.
+        start_time: Start of its runs, s.
         open_inputs: Inputs that are declared to keep their start value, by part and variable.
         connectors: Names of the whole system for variables of its parts, as an SSP file has them.
         places: What messages say for the temporary folders of files within a file.
