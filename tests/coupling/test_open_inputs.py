@@ -160,7 +160,8 @@ def test_byte_order_mark_before_the_first_table_is_read(toml, text):
 
 
 @pytest.mark.parametrize(
-    "text", ['["parts"]\na = "{0}"', 'parts.a = "{0}"', "parts = {{a = '{0}'}}", "parts.'a' = '{0}'"]
+    "text",
+    ['["parts"]\na = "{0}"', 'parts.a = "{0}"', "parts = {{a = '{0}'}}", "parts.'a' = '{0}'"],
 )
 def test_every_spelling_of_the_parts_makes_a_system(tmp_path, text):
     (tmp_path / "system.toml").write_text(text.format("crank_shaft") + "\n")
