@@ -40,6 +40,15 @@ function onto(direction) {
   return new THREE.Quaternion().setFromUnitVectors(axis, direction.clone().normalize());
 }
 
+/* The corners of a mesh in the frame of its group's body. */
+function boxed(mesh, group) {
+  if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
+  group.updateMatrix();
+  const { min, max } = mesh.geometry.boundingBox;
+  return [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) =>
+    new THREE.Vector3(x, y, z).applyMatrix4(group.matrix))));
+}
+
 const GEOMETRIES = {
   box: (s) => [new THREE.BoxGeometry(...s)],
   cylinder: ([radius, length]) => [rod(radius, length)],
@@ -291,29 +300,29 @@ class Scene {
   corners(actor) {
     const { run } = actor, { data } = this, center = new THREE.Vector3(...data.camera.center);
     if (!data.live || !run) return [];
-    const end = run.invalid_from === null ? run.time[run.time.length - 1] : run.invalid_from;
     const sides = [-1, 0, 1], outward = sides.flatMap((x) => sides.flatMap((y) => sides.map((z) =>
       ({ way: new THREE.Vector3(x, y, z), most: -Infinity, corner: new THREE.Vector3() }))));
-    this.root.position.set(0, 0, 0);
-    actor.root.position.set(0, 0, 0);
-    for (let k = 0; k <= 40; ++k) {
-      const t = run.time[0] + ((end - run.time[0]) * k) / 40, along = this.followed(actor, t).add(center);
-      actor.show(t);
-      this.root.updateMatrixWorld(true);
-      for (const mesh of actor.shapes.flatMap(({ group }) => group.children)) {
-        if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
-        const { min, max } = mesh.geometry.boundingBox;
-        for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z]) {
-          const corner = new THREE.Vector3(x, y, z).applyMatrix4(mesh.matrixWorld).sub(along);
+    const boxes = actor.bodies.map(({ body }) => actor.shapes.flatMap(({ group }) =>
+      group.parent === body ? group.children.flatMap((mesh) => boxed(mesh, group)) : []));
+    const end = run.invalid_from === null ? Infinity : run.invalid_from, matrix = new THREE.Matrix4();
+    const point = new THREE.Vector3(), step = Math.ceil(run.time.length / 500);
+    for (let i = 0; i < run.time.length && run.time[i] <= end; i += step) {
+      const along = this.followed(actor, run.time[i]).add(center);
+      boxes.forEach((corners, k) => {
+        const [x, y, z, ...m] = Array.from({ length: BODY }, (_, j) => value(run, i, k * BODY + j));
+        matrix.set(m[0], m[3], m[6], x, m[1], m[4], m[7], y, m[2], m[5], m[8], z, 0, 0, 0, 1);
+        for (const corner of corners) {
+          point.copy(corner).applyMatrix4(matrix).sub(along);
           for (const found of outward) {
-            const size = corner.dot(found.way);
-            if (size > found.most) Object.assign(found, { most: size, corner });
+            const size = point.dot(found.way);
+            if (size <= found.most) continue;
+            found.most = size;
+            found.corner.copy(point);
           }
         }
-      }
+      });
     }
-    return outward.map(({ corner }) =>
-      corner.clone().clampLength(0, FARTHEST * data.size).add(center).toArray());
+    return outward.map(({ corner }) => corner.clampLength(0, FARTHEST * data.size).add(center).toArray());
   }
 
   /* Puts the camera where it belongs. */
