@@ -114,8 +114,7 @@ def _moving(dae: Dae) -> dict[int, int]:
 
 
 def _key(node: _Node) -> int:
-    key: int = node.value.element_hash()
-    return key
+    return node.value.element_hash()
 
 
 def _leaf(value: SX, moving: int) -> _Node:

@@ -3,7 +3,6 @@
 #define FIXED_H
 
 #include "interrupt.h"
-#include "projection.h"
 #include "quintic.h"
 #include "watch.h"
 

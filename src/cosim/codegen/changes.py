@@ -185,5 +185,4 @@ def parted(t: Vector, values: Vector, size: float) -> Vector:
     first, last = np.interp([_ENDS, change[-1] - _ENDS], change, t)
     way = change + np.clip((t - first) / max(last - first, np.spacing(last)), 0, 1)
     begin, end = np.interp([first, last], t, way)
-    ends: Vector = np.interp(np.linspace(begin, end, int((end - begin) * _PARTS) + 2), way, t)
-    return ends
+    return np.interp(np.linspace(begin, end, int((end - begin) * _PARTS) + 2), way, t)

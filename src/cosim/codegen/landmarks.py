@@ -6,7 +6,7 @@ events starts anew at these places, with steps from one to the next.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -93,41 +93,30 @@ def landmarks(dae: Dae) -> Landmarks:
         dae: The model, with frozen relations.
     """
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
-    every_change, unknown = list[_Change](), set[int]()
-    for term in inner_terms(dae):
-        knots = knots_of(term)
-        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
-        if term.tables and of_tables and not len(knots):
-            unknown.update(term.movers)
-        every_change += _changes(dae, term, knots, p)
-    others = (v.name for v in (*dae.algebraics, *dae.inputs))
-    names, found = [*(state.name for state in dae.states), "time", *others], list[str]()
+    names = [*(state.name for state in dae.states), "time"]
+    names += [v.name for v in (*dae.algebraics, *dae.inputs)]
+    every_change, unknown = _changes_of_one(dae, p)
     passed = [names[moving] for moving in sorted(unknown)]
     for several in inner_terms_of_several(dae):
         across = _changes_of_several(dae, several, p)
         if across is None and not several.is_inverse:
             passed.append(", ".join(names[i] for term in several.each for i in term.movers))
         every_change += across or []
-    changes = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
-    for change in every_change:  # one that has different factors in two equations is one
-        key = change.term.variable.element_hash(), change.places.tobytes()
-        changes.setdefault(_direction(dae, change.term), {}).setdefault(key, change)
-    rows, times, given = list[SX](), [np.empty(0)], set[str]()
-    for own in changes.values():
-        movers = next(iter(own.values())).term.movers
-        steps = sum(change.is_step for change in own.values())
-        needed = [change for change in own.values() if not change.is_step or steps > 1]
+    rows, times, moving, given = list[SX](), [np.empty(0)], list[str](), set[str]()
+    for changes in _by_direction(dae, every_change):
+        movers = changes[0].term.movers
+        steps = sum(change.is_step for change in changes)
+        needed = [change for change in changes if not change.is_step or steps > 1]
         name = ", ".join(names[i] for i in movers)
-        found += [name] if needed else []
+        if needed:
+            moving.append(name)
         if movers == (len(dae.states),):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
-            times += [way_of(dae, change.term, change.places, p) for change in fixed]
-            given.update(
-                v.name
-                for c in fixed
-                for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
-            )
             needed = [change for change in needed if change not in fixed]
+            for change in fixed:
+                term = change.term
+                times.append(way_of(dae, term, change.places, p))
+                given.update(v.name for v in _depends(dae, ca.vertcat(term.variable, term.value)))
         if len(movers) == 1:
             needed = _without_repeated(dae, needed, p)
         many = sum(len(change.places) for change in needed) > _MOST
@@ -137,11 +126,38 @@ def landmarks(dae: Dae) -> Landmarks:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = column(rows)
-    followed = [v.name for v in _depends(dae, arguments)]
-    every = np.unique(np.concatenate(times))
     return Landmarks(
-        arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
+        arguments=arguments,
+        times=np.unique(np.concatenate(times)),
+        moving=tuple(moving),
+        followed=tuple(v.name for v in _depends(dae, arguments)),
+        given=tuple(sorted(given)),
+        passed=tuple(passed),
     )
+
+
+def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
+    """Return where terms of one variable change, and the places of those in tables without knots.
+
+    A place counts states, time, algebraic unknowns and inputs.
+    """
+    found, unknown = list[_Change](), set[int]()
+    for term in inner_terms(dae):
+        knots = knots_of(term)
+        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
+        if term.tables and of_tables and not len(knots):
+            unknown.update(term.movers)
+        found += _changes(dae, term, knots, p)
+    return found, unknown
+
+
+def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
+    """Return changes in groups of one direction; one with two factors in the equations is one."""
+    groups = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
+    for change in changes:
+        key = change.term.variable.element_hash(), change.places.tobytes()
+        groups.setdefault(_direction(dae, change.term), {}).setdefault(key, change)
+    return [[*group.values()] for group in groups.values()]
 
 
 def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:

@@ -298,8 +298,7 @@ def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
     r = 1 - s
     x, f = x[:, None], f[:, None]
     ends = x[:-1] + s * s * (1 + 2 * r) * np.diff(x, axis=0)  # exact where values are equal
-    found: Vector = ends + h * s * r * (r * f[:-1] - s * f[1:])
-    return found
+    return ends + h * s * r * (r * f[:-1] - s * f[1:])
 
 
 def located(piece: Piece, *, closely: bool = True) -> Located | None:

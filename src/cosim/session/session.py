@@ -160,8 +160,7 @@ class Session(Life):
 
         Models and FMUs that were exported here tell it, other FMUs do not.
         """
-        found: str | None = min(self._instance.violations, key=attrgetter("time"), default=None)
-        return found
+        return min(self._instance.violations, key=attrgetter("time"), default=None)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs.

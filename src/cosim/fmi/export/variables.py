@@ -18,6 +18,7 @@ from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
 from cosim.errors import UsageError
+from cosim.memo import cached_per_thread
 from cosim.model.troughs import resting
 from cosim.model.values import own_sizes
 
@@ -172,6 +173,7 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
     return quotient_name(unit, "s"), rate
 
 
+@cached_per_thread(16)
 def with_margins(dae: Dae, *, valid: bool) -> Dae:
     """Return the DAE with the margin of each validity condition as an additional output.
 

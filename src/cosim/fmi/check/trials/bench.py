@@ -73,7 +73,7 @@ class Bench:
 
     folder: Path
     name: str
-    timeout: float = 120.0
+    timeout: float
 
     @property
     def second(self) -> bool:
