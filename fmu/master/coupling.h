@@ -178,7 +178,7 @@ static inline int pass_events(Coupling *self) {
     return enter_event_modes(self) == DONE ? let_due_happen(self) : CALL_FAILED;
 }
 
-/* Go back to the begin of a macro step within which there is an event; let it happen if it is there
+/* Go back to the start of a macro step within which there is an event; let it happen if it is there
  * already. */
 static inline int back_to_event(Coupling *self) {
     const int here = same_time(self->system, self->event, self->now.t);

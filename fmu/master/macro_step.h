@@ -20,7 +20,7 @@ enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
-/* The cubic of an input within the macro step by its derivatives at the time `since` its begin; one
+/* The cubic of an input within the macro step by its derivatives at the time `since` its start; one
  * that has jumped there is the line through value and rate at the end. */
 static inline void cubic_at(const Coupling *self, long long k, double since,
                             double derivatives[4]) {

@@ -70,7 +70,7 @@ typedef struct {
     double begin, end;
     const double *times;
     long long points;
-    double *first; /* takes the unknowns at the begin; NULL where they are not wanted */
+    double *first; /* takes the unknowns at the start; NULL where they are not wanted */
     double *states, *unknowns;
     double largest;
 } Grid;

@@ -43,6 +43,7 @@ from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
 from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
+from cosim.text import MOST_NAMES, shortened
 from cosim.trajectory import Trajectory
 
 _OF_MODELS = (
@@ -76,7 +77,7 @@ def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:
     if undriven:
         note(
             args,
-            f"note: {system.name}: nothing drives {', '.join(undriven)}; connect "
+            f"note: {system.name}: nothing drives {shortened(undriven, MOST_NAMES)}; connect "
             f"{'it' if len(undriven) == 1 else 'them'}, give a value, or declare open_inputs",
         )
 

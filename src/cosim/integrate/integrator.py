@@ -127,7 +127,7 @@ def _chained(slopes: MX, before: tuple[MX, MX, MX], k: int) -> tuple[MX, MX, MX]
 
 
 def _compiled(problem: Problem, solver: Solver) -> ca.Function:
-    """Return `interval(x, z, p, u, begin, end) -> (x, dz at the begin, S, dz)` as compiled code.
+    """Return `interval(x, z, p, u, begin, end) -> (x, dz at the start, S, dz)` as compiled code.
 
     See `variational_rhs`: S are derivatives of x, dz those of z.
     """
@@ -177,7 +177,7 @@ def _arguments(dae: Dae) -> list[MX]:
 
 
 def _start(dae: Dae, x: MX) -> MX:
-    """Return x and its derivatives at the begin of an interval, stacked."""
+    """Return x and its derivatives at the start of an interval, stacked."""
     nx, nq = dae.x.numel(), directions(dae)
     return ca.vertcat(x, ca.vec(ca.horzcat(ca.DM.eye(nx), ca.DM.zeros(nx, nq - nx))))
 
@@ -324,7 +324,7 @@ def integrator(
 
     Args:
         dae: The model.
-        grid: Increasing output times, s, (n,); the first is the begin of the run.
+        grid: Increasing output times, s, (n,); the first is the start of the run.
         solver, relative_tolerance, absolute_tolerance: See `simulate`.
         compiled: Whether the equations are compiled; small models are when None.
         step_size: Largest step of a solver with fixed steps, s; the model's output interval when

@@ -139,7 +139,7 @@ class Piece:
         Args:
             t: s.
             x, z: The row.
-            solved: Modes of the relations that slide; as at the begin if None.
+            solved: Modes of the relations that slide; as at the start if None.
         """
         slid, modes = self.own.sliding, self.begin.modes.copy()
         if solved is not None:

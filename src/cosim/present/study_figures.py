@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -154,6 +155,8 @@ def draw_map(findings: Sequence[CaseFinding]) -> Figure:
 def _family_panel(axis: Axes, family: str, findings: Sequence[CaseFinding]) -> None:
     label, places = _places(findings)
     rows, points = sorted({row for row, _ in places}), list(dict.fromkeys(p for _, p in places))
+    with suppress(ValueError):  # of texts that are no numbers
+        points.sort(key=float)
     for finding, (row, point) in zip(findings, places, strict=True):
         x, y, outcome = points.index(point), rows.index(row), finding.verdict.outcome
         axis.plot(x, y, "s", color=LOOKS[outcome], markersize=9, markeredgewidth=0)

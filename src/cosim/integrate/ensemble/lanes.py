@@ -53,7 +53,7 @@ def lane_starts(
     Args:
         library: The model's library.
         dae: The model.
-        t: Begin of the runs, s.
+        t: Start of the runs, s.
         x: Initial values, or guesses if they are calculated, SI, (runs, nx); overwritten.
         u, p: Inputs and parameters, SI, (runs, nu) and (runs, np).
     """
@@ -91,7 +91,7 @@ def run_lanes(
         outputs: Number of outputs that it records.
         starts: Consistent x0 and nominal values of the states, inputs u, parameters p, SI: (runs,
             nx) twice, (runs, nu), (runs, np).
-        grid: Output times, s, (n,); the first is the begin of the runs.
+        grid: Output times, s, (n,); the first is the start of the runs.
         limits: Relative and absolute tolerance (1), and the largest step, s.
         threads: Largest number of threads; results do not depend on it.
         stop_outside: Whether a run ends when a validity condition is violated.
