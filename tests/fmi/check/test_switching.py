@@ -175,11 +175,11 @@ def test_a_file_for_another_platform_gets_a_remedy_that_its_user_has(tmp_path):
     elsewhere = dict.fromkeys(libraries) | {"binaries/beos/swing.so": b"x"}
     path = rewritten(own, tmp_path / "beos.fmu", elsewhere)
     with pytest.raises(FmuError, match=r"only for beos, none for .*; export it with --platform"):
-        try_apart(path)
+        try_apart(path, timeout=24.0)
     other = set_attributes(".", generationTool="another")
     path = with_description(path, tmp_path / "other.fmu", other)
     with pytest.raises(FmuError, match=r"; run it there, or ask its author for one for this"):
-        try_apart(path)
+        try_apart(path, timeout=24.0)
     bare = with_description(rewritten(own, tmp_path / "b.fmu", dict.fromkeys(libraries)),
                             tmp_path / "bare.fmu", other)  # fmt: skip
     with pytest.raises(FmuError, match=r"for no platform, none .*; compile its sources"):
