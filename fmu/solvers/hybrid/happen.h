@@ -162,6 +162,10 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }
+    if (crossing >= 0 && zero[crossing]) { /* what only approaches its boundary is not there */
+        look_ahead(laws, s, at, zero, &seen);
+        decided[crossing] |= rests_on(s, &seen, crossing);
+    }
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }

@@ -9,13 +9,12 @@
 #ifndef HYBRID_SETTLE_H
 #define HYBRID_SETTLE_H
 
-#include "switching.h"
+#include "departure.h"
 
 enum { MOST_ROUNDS = 100 }; /* of changes of modes, and of events, at one instant */
 
 static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
 static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
-static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */
 static const double MOVED = 1e8;        /* roundings by which only an input moves an argument */
 static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
 
@@ -115,101 +114,6 @@ static inline void note_inside(const Laws *laws, Switching *s, const double mode
     }
 }
 
-/* -- sliding ---------------------------------------------------------------------------------- */
-
-typedef double Rows[MODES + 1][MODES + 2];
-
-/* Solves n linear equations, the right side being the last column; false if they are singular. */
-static inline bool solve_linear(int n, Rows a) {
-    for (int c = 0; c < n; c++) {
-        int pivot = c;
-        for (int r = c + 1; r < n; r++)
-            if (fabs(a[r][c]) > fabs(a[pivot][c])) pivot = r;
-        if (!(fabs(a[pivot][c]) > 0)) return false;
-        for (int k = 0; k <= n; k++) {
-            const double swapped = a[c][k];
-            a[c][k] = a[pivot][k];
-            a[pivot][k] = swapped;
-        }
-        for (int r = 0; r < n; r++) {
-            if (r == c) continue;
-            const double share = a[r][c] / a[c][c];
-            for (int k = c; k <= n; k++) a[r][k] -= share * a[c][k];
-        }
-    }
-    for (int r = 0; r < n; r++) a[r][n] /= a[r][r];
-    return true;
-}
-
-/* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
- * arguments are affine in the modes: both sides tell how. A mode of exactly 0 is that of rest. */
-static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
-    double *modes = modes_of(at), sizes[MODES + 1];
-    int which[MODES + 1], n = 0;
-    Seen base, one;
-    Rows a;
-    for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) which[n++] = i;
-    if (n == 0) return true;
-
-    for (int k = 0; k < n; k++) modes[which[k]] = -1;
-    if (!laws->see(laws->owner, at, &base)) return false;
-    for (int k = 0; k < n; k++) {
-        a[k][n] = -base.rates[which[k]];
-        sizes[k] = fabs(a[k][n]);
-    }
-    for (int c = 0; c < n; c++) {
-        modes[which[c]] = 1;
-        if (!laws->see(laws->owner, at, &one)) return false;
-        modes[which[c]] = -1;
-        for (int r = 0; r < n; r++) {
-            a[r][c] = (one.rates[which[r]] - base.rates[which[r]]) / 2;
-            sizes[r] += fabs(a[r][c]);
-        }
-    }
-    if (!solve_linear(n, a)) return false;
-    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n] == 1 ? DBL_MIN : a[k][n] - 1;
-    if (!laws->see(laws->owner, at, &one)) return false;
-    for (int k = 0; k < n; k++)
-        if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;
-    return true;
-}
-
-/* Relations at a point, whatever slides. */
-static inline bool look_closely(const Laws *laws, const Switching *s, const Point *at, Seen *seen) {
-    return follow(laws, s, at) && laws->see(laws->owner, at, seen);
-}
-
-/* Ends the sliding of relations whose arguments no mode keeps at 0 any more, as where a friction
- * force vanishes: they go where their rates lead. Returns whether there are any. */
-static inline bool release_unkept(const Laws *laws, Switching *s, const Point *at, bool zero[]) {
-    double *modes = modes_of(at);
-    bool any = false;
-    Seen without, with;
-    for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) modes[i] = -1;
-    if (!laws->see(laws->owner, at, &without)) return false;
-    for (int i = 0; i < MODES; i++) {
-        if (s->state[i] != SLIDES) continue;
-        modes[i] = 1;
-        if (!laws->see(laws->owner, at, &with)) return false;
-        modes[i] = -1;
-        const double change = fabs(with.rates[i] - without.rates[i]);
-        if (change > ROUNDING * (without.sizes[i] + fabs(without.rates[i]))) continue;
-        s->state[i] = FREE;
-        modes[i] = without.rates[i] < 0 ? -1 : 1;
-        zero[i] = any = true;
-    }
-    return any;
-}
-
-/* Relations at an instant, where some may no longer slide. */
-static inline bool look_or_release(const Laws *laws, Switching *s, const Point *at, bool zero[],
-                                   Seen *seen) {
-    return look_closely(laws, s, at, seen) ||
-           (release_unkept(laws, s, at, zero) && look_closely(laws, s, at, seen));
-}
-
 /* -- one instant ------------------------------------------------------------------------------ */
 
 static inline double mode_by_value(bool floor_, double value) {
@@ -253,9 +157,9 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
     if (jumps) return mode_by_value(relation->floor, value);
     if (!*zero && value != boundary) return apart(laws, s, at, seen, i, value);
     *zero = true;
-    const double tiny = ROUNDING * seen->sizes[i], along[] = {seen->rates[i], seen->seconds[i]};
-    for (int k = 0; k < 2; k++) {
-        if (!(fabs(along[k]) > tiny)) continue;
+    const double along[] = {seen->rates[i], seen->seconds[i], seen->departs[i]};
+    for (int k = 0; k < 3; k++) {
+        if (!(fabs(along[k]) > rounding_of(s, seen, i, k + 1))) continue;
         if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
         return along[k] > 0 ? 1 : -1;
     }
@@ -325,6 +229,7 @@ static inline bool change_one(const Laws *laws, Switching *s, const Point *at, c
         if (!at_zero || laws->relations[i].floor || laws->relations[i].of_time) return true;
         Seen other;
         if (!look_closely(laws, s, at, &other)) return false;
+        look_ahead(laws, s, at, zero, &other);
         if (required(laws, s, at, &other, i, &at_zero) != mode) {
             s->state[i] = SLIDES;
             zero[i] = true;
@@ -349,7 +254,7 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
         s->stays[i] = 0;
         if (s->state[i] == HELD) s->state[i] = LEAVES;
         if (!zero[i] || laws->relations[i].of_time || !isfinite(value)) continue;
-        const bool rests = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= tiny;
+        const bool rests = rests_on(s, seen, i);
         if (rests) s->stays[i] = tiny;
         if (s->state[i] != SLIDES) s->state[i] = rests ? HELD : LEAVES;
         s->left[i] = laws->relations[i].floor ? round(value) : 0;
@@ -367,6 +272,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
         if (!look_or_release(laws, s, at, zero, &seen)) return ending(NO_VALUE, -1);
         note_slack(laws, s, at);
+        look_ahead(laws, s, at, zero, &seen);
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
         if (trial > 0) note_jumps(s, &before, &seen, zero);
