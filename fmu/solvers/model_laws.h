@@ -76,7 +76,7 @@ static inline bool law_inputs(const LawOwner *self, const Point *at, double u[],
 
 /* The algebraic unknowns from their guess. */
 static inline bool solve_law(const LawOwner *self, const Point *at) {
-    double z[NZ + 1];
+    double z[NZ + 1] = {0};
     if (NZ == 0) return true;
     if (!call_law(self, model_laws.algebraic, at, NULL, (Results){z})) return false;
     for (int i = 0; i < NZ; i++)

@@ -52,17 +52,25 @@ static inline bool grows_steadily(double a, double b, double c, double tiny) {
            first <= SAME_GROWTH * second;
 }
 
-/* What rounding makes of the time derivative of an argument, of first or second order. The terms of
- * the first tell how fast a deviation of the argument changes, and so what it makes of the second. */
-static inline double rounding_of(const Switching *s, const Seen *seen, int i, int order) {
-    const double tiny = ROUNDING * seen->sizes[i], most = fmax(tiny, s->faint[i]);
-    return order == 1 || most == tiny ? most : most * (most / tiny);
+/* What rounding makes of time derivatives of an argument. */
+static inline double rounding_of_rate(const Switching *s, const Seen *seen, int i) {
+    return fmax(ROUNDING * seen->sizes[i], s->faint[i]);
 }
 
 /* Whether neither an argument's first derivative nor its second one is more than rounding. */
 static inline bool seems_to_rest(const Switching *s, const Seen *seen, int i) {
-    return fabs(seen->rates[i]) <= rounding_of(s, seen, i, 1) &&
-           fabs(seen->seconds[i]) <= rounding_of(s, seen, i, 2);
+    const double most = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i]));
+    return most <= rounding_of_rate(s, seen, i);
+}
+
+/* Whether rounding decays: it has a second derivative, too, which does not turn the first one. */
+static inline bool decays(const Laws *laws, const Switching *s, const Point *from, const Seen *seen,
+                          int i) {
+    const double rate = seen->rates[i], second = seen->seconds[i];
+    Seen later;
+    return rate * second < 0 && fabs(rate) <= rounding_of_rate(s, seen, i) &&
+           look_after(laws, s, from, seen, -FURTHER * rate / second, &later) &&
+           !(fabs(later.rates[i]) > fabs(rate) && later.rates[i] * second > 0);
 }
 
 /* Tells in `departs` on which side the solution leaves boundaries at which arguments seem to rest;
@@ -77,7 +85,9 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
         const double value = seen->arguments[i];
         const bool at_boundary = zero[i] || value == (laws->relations[i].floor ? round(value) : 0);
         const bool moves = laws->relations[i].of_time || s->state[i] == SLIDES;
-        open[i] = at_boundary && !moves && seems_to_rest(s, seen, i);
+        if (!at_boundary || moves) continue;
+        if (decays(laws, s, from, seen, i)) seen->seconds[i] = 0;
+        open[i] = seems_to_rest(s, seen, i);
         any |= open[i];
     }
     if (!any) return;
@@ -94,7 +104,7 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
         if (++known < 3) continue;
         for (int i = 0; i < MODES; i++) {
             const double a = looks[0].seconds[i], b = looks[1].seconds[i];
-            const double tiny = rounding_of(s, seen, i, 2);
+            const double tiny = rounding_of_rate(s, seen, i);
             if (!open[i] || !grows_steadily(a, b, looks[2].seconds[i], tiny)) continue;
             seen->departs[i] = a > 0 ? INFINITY : -INFINITY;
             open[i] = false;

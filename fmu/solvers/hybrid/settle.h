@@ -48,7 +48,7 @@ static inline Ending ending(Reason reason, int part) {
  * quantities move it, too, their errors are more than rounding; so is what importers of model
  * exchange have stepped beyond a boundary. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
-    const double way = fabs(past_boundary(laws, s, seen, i));
+    const double way = fabs(seen->arguments[i] - s->left[i] - s->beyond[i]);
     const int moved = laws->relations[i].moved;
     const bool exact = moved == BY_INPUTS && (!laws->blind || s->beyond[i] == 0);
     return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
@@ -159,10 +159,11 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
     *zero = true;
     const double along[] = {seen->rates[i], seen->seconds[i], seen->departs[i]};
     for (int k = 0; k < 3; k++) {
-        if (!(fabs(along[k]) > rounding_of(s, seen, i, k + 1))) continue;
+        if (!(fabs(along[k]) > rounding_of_rate(s, seen, i))) continue;
         if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
         return along[k] > 0 ? 1 : -1;
     }
+    if (s->state[i] == HELD) return mode; /* it has rested there since its event */
     if (relation->floor) return boundary;
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
