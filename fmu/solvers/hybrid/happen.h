@@ -122,7 +122,8 @@ static inline void note_approaches(const Laws *laws, Switching *s, const Point *
     look_ahead(laws, s, at, zero, seen);
     for (int i = 0; i < MODES; i++) {
         const bool near = fabs(inside[i] - s->slack[i]) <= s->slack[i];
-        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES;
+        const bool unknown = laws->blind && laws->relations[i].moved;
+        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES || unknown;
         if (zero[i] && near && !other && rests_on(s, seen, i)) s->state[i] = HELD;
     }
 }
