@@ -122,8 +122,7 @@ static inline void note_approaches(const Laws *laws, Switching *s, const Point *
     look_ahead(laws, s, at, zero, seen);
     for (int i = 0; i < MODES; i++) {
         const bool near = fabs(inside[i] - s->slack[i]) <= s->slack[i];
-        const bool unknown = laws->blind && laws->relations[i].moved;
-        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES || unknown;
+        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES;
         if (zero[i] && near && !other && rests_on(s, seen, i)) s->state[i] = HELD;
     }
 }
@@ -146,7 +145,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         const bool held = is_held(laws, s, &seen, i);
-        if (s->state[i] == HELD && !held) s->state[i] = LEAVES;
+        if (s->state[i] == HELD && !held && !laws->blind) s->state[i] = LEAVES;
         if (later[i]) {
             decided[i] = true;
         } else if (zero[i]) {
@@ -177,7 +176,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }
-    if (crossing >= 0) note_approaches(laws, s, at, inside, zero, &seen);
+    if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, inside, zero, &seen);
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }

@@ -48,7 +48,8 @@ static inline Ending ending(Reason reason, int part) {
  * quantities move it, too, their errors are more than rounding; so is what importers of model
  * exchange have stepped beyond a boundary. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
-    const double way = fabs(seen->arguments[i] - s->left[i] - s->beyond[i]);
+    const double left = laws->blind ? 0 : s->left[i];
+    const double way = fabs(past_boundary(laws, s, seen, i) - left);
     const int moved = laws->relations[i].moved;
     const bool exact = moved == BY_INPUTS && (!laws->blind || s->beyond[i] == 0);
     return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
@@ -163,7 +164,7 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
         if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
         return along[k] > 0 ? 1 : -1;
     }
-    if (s->state[i] == HELD) return mode; /* it has rested there since its event */
+    if (s->state[i] == HELD && !laws->blind) return mode; /* it has rested since its event */
     if (relation->floor) return boundary;
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
