@@ -11,6 +11,8 @@ Kinds
     spring          an oscillator that meets a one-sided spring of the other part
     play            the same with a stiff spring on both sides and 5 mm between
     foreign         smooth systems whose parts lack rollback, rates or derivatives
+    integral        an oscillator cut between place and speed, two integrals in a loop; inputs are
+                    constant within steps, and parts may lack rollback
 
 References are SciPy at 3e-14 for what is smooth and at 1e-12 for kinks, and matrix exponentials
 with located switches for the rest; near a switch a row counts for either side. Systems whose course
@@ -211,6 +213,32 @@ def _spring(seed: int, *, play: bool = False) -> Case:
     return Case(_simulated(spring.system(STOP)), Course(spring.solution(time), time, np.empty(0)))
 
 
+def _integral(seed: int) -> Case | None:
+    """x' = v in one part, v' = -k x - d v in the other."""
+    random = Random(seed)
+    k, d = random.uniform(0.5, 20), random.uniform(0, 0.6)
+    x0, v0 = random.uniform(-1, 1), random.uniform(-1, 1)
+    found = _course(
+        LinearHybrid(np.array([[0, 1], [-k, -d]]), (), ()),
+        [x0, v0],
+        {"place.x": 0, "speed.v": 1},
+    )
+    if found is None:
+        return None
+    values = {"place.x": x0, "speed.v": v0, "speed.k": k, "speed.d": d}
+    place, _ = _part("place")
+    speed, (k, d) = _part("speed", "k", "d")
+    x, v = place.state("x", "m", 1.0, "place"), speed.state("v", "m/s", 0.0, "speed")
+    place.derivative(x, place.input("v", "m/s", 0.0, "speed"))
+    speed.derivative(v, -k * speed.input("x", "m", 0.0, "place") - d * v)
+    parts = {"place": place.freeze(), "speed": speed.freeze()}
+    wires = {"place.v": "speed.v", "speed.x": "place.x"}
+    lacking = "no rates, no interpolation"
+    abilities = {n: lacking + ", no rollback" * (random.random() < 0.5) for n in parts}
+    system = cosim.couple(parts, wires, start_values=values, abilities=abilities)
+    return Case(_simulated(system), found)
+
+
 KINDS: dict[str, Callable[[int], Case | None]] = {
     "smooth": lambda seed: _smooth(seed, "smooth"),
     "hybrid": _hybrid,
@@ -220,6 +248,7 @@ KINDS: dict[str, Callable[[int], Case | None]] = {
     "spring": _spring,
     "play": lambda seed: _spring(seed, play=True),
     "foreign": lambda seed: _smooth(seed, "foreign"),
+    "integral": _integral,
 }
 
 

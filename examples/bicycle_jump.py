@@ -127,11 +127,12 @@ def build() -> Dae:
     model.derivative(q, q_dot)
     model.derivative(u, ca.solve(M, f + W @ P))
 
-    loss = model.discrete("loss", "J", 0.0, "kinetic energy lost in impacts")
+    loss = model.discrete("loss", "J", 0.0, "kinetic energy lost in impacts", nominal=100.0)
     floor, impulse = {}, []
     for wheel, name in NAMES.items():
         floor[wheel] = model.discrete(f"floor{wheel}", "m", NEVER, f"gap at which the {name} lands")
-        impulse.append(model.discrete(f"impulse{wheel}", "N.s", 0.0, f"last one on the {name}"))
+        meaning = f"last one on the {name}"
+        impulse.append(model.discrete(f"impulse{wheel}", "N.s", 0.0, meaning, nominal=100.0))
     for i, (wheel, name) in enumerate(NAMES.items()):
         contact, grip = mode[wheel]
         normal = P[2 * i]

@@ -20,6 +20,7 @@ sys.dont_write_bytecode = False
 
 
 TIME_LIMIT = 600  # s; the slowest test takes about 100 s on two busy cores
+NIGHTLY_LIMIT = 5 * 3600  # s; of tests that are marked nightly, less than the night's workflow has
 SLOW_SHARE = 0.2  # of the slow rows of every table; the others are nightly
 GOLDEN = 0.6180339887498949  # its multiples fall in step with no period of a table
 COUNTS = Counter[str]()  # of the rows of each table, as they are collected
@@ -41,7 +42,7 @@ def is_in_sample(rows: str, share: float) -> bool:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark slow and nightly rows of tables; give all tests but those marked nightly a time limit.
+    """Mark slow and nightly rows of tables; give every test a time limit.
 
     A thread ends the session at the limit: signals belong to the tests, and would not end C code.
     """
@@ -52,8 +53,9 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     share = item.get_closest_marker("quick_share")
     if share and not is_in_sample(table, share.args[0]):
         item.add_marker("slow")
-    if item.config.pluginmanager.has_plugin("timeout") and not item.get_closest_marker("nightly"):
-        item.add_marker(pytest.mark.timeout(TIME_LIMIT, method="thread"), append=False)
+    if item.config.pluginmanager.has_plugin("timeout"):
+        limit = NIGHTLY_LIMIT if item.get_closest_marker("nightly") else TIME_LIMIT
+        item.add_marker(pytest.mark.timeout(limit, method="thread"), append=False)
     if row and item.get_closest_marker("slow") and not is_in_sample(f"slow {table}", SLOW_SHARE):
         item.add_marker("nightly")
 

@@ -28,6 +28,7 @@ INSTEAD = {
     r"first guess(es)?": "initial guess",
     r"limit cases?": "extreme cases",
     r"counts? in nominal values": "are scaled by nominal values",
+    r"(the|its|their) begin": "the start",
     r"alike": "leave it out, or say what is equal",
     r"(col|behavi|neighb|fav|hon)our\w*|grey|centres?|centred": "American spelling",
     r"(initial|normal|optim|minim|summar|linear|recogn|general|discret)is(e|ed|es|ing|ation)": (

@@ -148,8 +148,7 @@ def _renamed(part: str, dae: Dae, time: SX) -> Dae:
         new.append(SX.sym(f"{part}.closing_rate"))
 
     def in_new_symbols(laws: list[SX]) -> list[SX]:
-        found: list[SX] = ca.substitute(laws, old, new)
-        return found
+        return ca.substitute(laws, old, new)
 
     def named_variable(v: Variable) -> Variable:
         return replace(v, name=f"{part}.{v.name}")

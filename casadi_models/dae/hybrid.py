@@ -467,13 +467,26 @@ def hybrid(dae: Dae) -> Hybrid | None:
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
 
 
+@dataclass(frozen=True)
 class Mode(Variable):
-    """An input of frozen equations that is the mode of a relation."""
+    """An input of frozen equations that is the mode of a relation.
+
+    Attributes:
+        is_sign: Whether it is -1 or 1, but for rest at 0, and not an integer.
+    """
+
+    is_sign: bool = True
 
 
 def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Mode, ...]:
     return tuple(
-        Mode(f"mode_{first + i + 1}", "1", f"mode of {relation.operation}", 1.0)
+        Mode(
+            name=f"mode_{first + i + 1}",
+            unit="1",
+            meaning=f"mode of {relation.operation}",
+            start=1.0,
+            is_sign=not relation.floor,
+        )
         for i, relation in enumerate(relations)
     )
 

@@ -105,6 +105,14 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     return found
 
 
+def in_waves(dae: Dae, term: InnerTerm) -> Iterator[InnerTerm]:
+    """Yield a term as a function of each quantity in it that its variable moves by a wave."""
+    waves = {ca.OP_SIN, ca.OP_COS}
+    if any(value.op() in waves for _, value, _ in in_postorder([term.value])):
+        for own in _alone(dae, term.movers, term.symbol, term.value):
+            yield own._replace(variable=ca.substitute(own.variable, term.symbol, term.variable))
+
+
 def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[InnerTerm]:
     nodes = list(in_postorder([term]))
     if any(value.op() == ca.OP_CALL for _, value, _ in nodes):

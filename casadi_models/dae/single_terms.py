@@ -1,6 +1,7 @@
 """`single_terms`: parts of equations that one moving quantity alone determines."""
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import casadi as ca
@@ -8,6 +9,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.hybrid import Mode
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
@@ -18,6 +20,7 @@ _LOCAL = {  # what may change within a small part of its argument's way, and res
 _RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
 _STAYS = {ca.OP_DIV: 0, ca.OP_POW: 1, ca.OP_CONSTPOW: 1}  # the operand that does, of an inverse
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
+_MOST_MODES = 4  # of a called function
 _NONE, _MANY = -1, -2  # in place of the position of what a node depends on
 
 
@@ -29,19 +32,22 @@ class _Node(NamedTuple):
         moving: The position of the only quantity that moves it, `_NONE` or `_MANY`.
         terms: The terms of which it is the sum, if one quantity moves it.
         is_local: Whether it may change within a small part of the quantity's way.
+        inner: The local terms of sums in it, whose changes are small beside the other terms.
     """
 
     value: SX
     moving: int
     terms: tuple["_Node", ...]
     is_local: bool
+    inner: tuple["_Node", ...] = ()
 
 
 def single_terms(dae: Dae) -> dict[int, SX]:
     """Return the terms that depend on time or a single state, and may rest and change on its way.
 
     These are the largest such subexpressions of dx/dt and of the algebraic equations, except that
-    a sum is split into its terms. Tables and other functions that are called count as terms.
+    a sum is split into its terms, also one within another term. Tables and other functions that
+    are called count as terms.
 
     Returns:
         Expressions of a state and `dae.p` by the position of the state, (n, 1) each; those of
@@ -51,6 +57,9 @@ def single_terms(dae: Dae) -> dict[int, SX]:
     for term in _terms(dae):
         if term.is_local:
             found.setdefault(term.moving, []).append(term.value)
+    for table in _called(dae):
+        for moving, value in _in_each_mode(dae, table):
+            found.setdefault(moving, []).append(value)
     return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
 
 
@@ -70,10 +79,46 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
         if node.moving != _MANY or size > _MOST_OPERATIONS or not operands:
             continue
         if code in _RESTING and operands[-1].moving != _NONE:
-            resting.append(value if code != ca.OP_CALL else value.get_output(0))
+            called = value.get_output(0) if code == ca.OP_CALL else None
+            if called is None:
+                resting.append(value)
+            elif not _in_each_mode(dae, called):
+                resting.append(called)
         elif code == ca.OP_INV or (code in _STAYS and operands[_STAYS[code]].moving == _NONE):
             inverse.append(value)
     return column(resting), column(inverse)
+
+
+def _called(dae: Dae) -> list[SX]:
+    """Return the results of called functions that several quantities move."""
+    return [
+        node.value.get_output(0)
+        for node, _ in _nodes(dae)
+        if node.moving == _MANY and node.value.op() == ca.OP_CALL
+    ]
+
+
+def _in_each_mode(dae: Dae, term: SX) -> list[tuple[int, SX]]:
+    """Return a term in all modes that it depends on, if only one quantity moves it in each.
+
+    The argument of a table is often limited to its range.
+    """
+    moving, own = _moving(dae), symbols(term)
+    modes = [
+        symbol
+        for symbol, variable in zip(ca.vertsplit(dae.u), dae.inputs, strict=True)
+        if isinstance(variable, Mode) and variable.is_sign and symbol.element_hash() in own
+    ]
+    others = own.keys() - {mode.element_hash() for mode in modes}
+    movers = {moving.get(key, _MANY) for key in others} - {_NONE}
+    if not modes or len(modes) > _MOST_MODES or len(movers) != 1 or _MANY in movers:
+        return []
+    every = (ca.DM(values) for values in product((-1, 1), repeat=len(modes)))
+    forms = [ca.substitute(term, ca.vertcat(*modes), values) for values in every]
+    (mover,) = movers
+    symbol = ca.vertcat(dae.x, dae.t)[mover]
+    unique = {form.element_hash(): form for form in forms if ca.depends_on(form, symbol)}
+    return [(mover, form) for form in unique.values()]
 
 
 def _terms(dae: Dae) -> list[_Node]:
@@ -82,9 +127,10 @@ def _terms(dae: Dae) -> list[_Node]:
     for node, operands in _nodes(dae):
         nodes[_key(node)] = node
         if node.moving == _MANY:
-            found |= {_key(term): term for operand in operands for term in operand.terms}
+            found |= {_key(t): t for operand in operands for t in operand.terms + operand.inner}
     for root in _roots(dae):
-        found |= {_key(term): term for term in nodes[root.element_hash()].terms}
+        node = nodes[root.element_hash()]
+        found |= {_key(term): term for term in node.terms + node.inner}
     return list(found.values())
 
 
@@ -114,8 +160,7 @@ def _moving(dae: Dae) -> dict[int, int]:
 
 
 def _key(node: _Node) -> int:
-    key: int = node.value.element_hash()
-    return key
+    return node.value.element_hash()
 
 
 def _leaf(value: SX, moving: int) -> _Node:
@@ -131,7 +176,12 @@ def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
         return _Node(value, moving, (), is_local=False)
     divides = code != ca.OP_DIV or operands[-1].moving == moving
     is_local = (code in _LOCAL and divides) or any(operand.is_local for operand in operands)
-    node = _Node(value, moving, (), is_local)
+    inner = {_key(term): term for operand in operands for term in operand.inner}
+    is_scaled = code in (ca.OP_MUL, ca.OP_DIV) and not all(o.terms for o in operands)
+    if code not in SUMS and not is_scaled:
+        sums = [operand.terms for operand in operands if len(operand.terms) > 1]
+        inner |= {_key(term): term for own in sums for term in own if term.is_local}
+    node = _Node(value, moving, (), is_local, tuple(inner.values()))
     terms = tuple(term for operand in operands for term in operand.terms)
     return node._replace(terms=terms if code in SUMS else (node,))
 

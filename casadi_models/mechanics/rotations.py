@@ -3,26 +3,26 @@
 `R_AB` turns components: v in A = R_AB @ v in B. Angular velocities stand in the turned frame.
 """
 
+from numbers import Integral
+
 import casadi as ca
 from casadi import SX, cos, sin
 
 
 def about(axis: int, angle: SX | float) -> SX:
     """Return R_AB of a frame B turned in A about a common axis (1, 2 or 3), right-handed."""
+    _reject_no_axis(axis)
     c, s = cos(angle), sin(angle)
     if axis == 1:
         return _rows((1, 0, 0), (0, c, -s), (0, s, c))
     if axis == 2:
         return _rows((c, 0, s), (0, 1, 0), (-s, 0, c))
-    if axis == 3:
-        return _rows((c, -s, 0), (s, c, 0), (0, 0, 1))
-    raise _no_axis(axis)
+    return _rows((c, -s, 0), (s, c, 0), (0, 0, 1))
 
 
 def unit(axis: int) -> SX:
     """Return the unit vector along an axis (1, 2 or 3)."""
-    if axis not in (1, 2, 3):
-        raise _no_axis(axis)
+    _reject_no_axis(axis)
     return SX([float(i == axis) for i in (1, 2, 3)])
 
 
@@ -44,6 +44,8 @@ def body_fixed(axes: tuple[int, int, int], angles: SX, rates: SX) -> tuple[SX, S
 
 def from_quaternion(q: SX) -> SX:
     """Return R_AB of a unit quaternion (w, x, y, z), (4, 1)."""
+    if not isinstance(q, SX) or q.shape != (4, 1):
+        raise ValueError(f"{q} is no quaternion; give an SX of shape (4, 1): w, x, y, z")
     w, x, y, z = ca.vertsplit(q)
     return _rows(
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -67,5 +69,6 @@ def _rows(*rows: tuple[SX | float, SX | float, SX | float]) -> SX:
     return ca.vertcat(*(ca.horzcat(*map(SX, row)) for row in rows))
 
 
-def _no_axis(axis: int) -> ValueError:
-    return ValueError(f"axis {axis} does not exist; use 1, 2 or 3")
+def _reject_no_axis(axis: int) -> None:
+    if not isinstance(axis, Integral) or axis not in (1, 2, 3):
+        raise ValueError(f"axis {axis} does not exist; use 1, 2 or 3")

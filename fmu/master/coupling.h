@@ -15,6 +15,7 @@ enum { MOST_FORCED = 1000 };
 
 static const double SAFE = 0.8, SHORTER = 0.2;                    /* of macro steps */
 static const double SHORTEST = 1e-9, FIRST = 1e-3, LONGEST = 0.1; /* macro steps, of the span */
+static const double AFTER_START = 5; /* times the one before, where no prediction is needed */
 static const double MOST_BY_RATE = 4.0 / 27; /* of s (1 - s)^2, which a rate adds to a cubic */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
 
@@ -129,6 +130,7 @@ static inline int wait_together(Coupling *self) {
     System *system = self->system;
     self->next.t = fmin(self->now.t + FIRST * (system->stop - system->start), system->stop);
     if (!self->ends_at_events || same_time(system, self->next.t, self->now.t)) return 0;
+    self->middle = INFINITY;
     predict(self, 2, &self->next);
     for (long long p = 0; p < system->n_parts; ++p) {
         Part *part = system->parts + p;
@@ -144,6 +146,23 @@ static inline int wait_together(Coupling *self) {
     return 0;
 }
 
+/* Let all happen that is due. What changes neither inputs nor their rates, such as a condition that
+ * is no longer true, leaves the past as it is. */
+static inline int let_due_happen(Coupling *self) {
+    const size_t size = (size_t)self->system->inputs * sizeof *self->now.u;
+    const long long known = self->known;
+    copy(self, &self->next, &self->now);
+    /* events see the values that relations of time in other parts have now */
+    int how = settle_values(self, self->now.u);
+    if (how == DONE) how = let_happen(self);
+    const int same = memcmp(self->now.u, self->next.u, size) == 0 &&
+                     memcmp(self->now.r, self->next.r, size) == 0;
+    if (how != DONE || !known || !same || self->guessed) return how;
+    self->known = known;
+    self->rateless = 0;
+    return DONE;
+}
+
 /* What happens at the present point, if a part waits for it; at the last one, no step follows that
  * would find it. */
 static inline int pass_events(Coupling *self) {
@@ -156,13 +175,10 @@ static inline int pass_events(Coupling *self) {
     }
     if (!any && !waits) return DONE;
     if (waits && wait_together(self)) return CALL_FAILED;
-    if (enter_event_modes(self) != DONE) return CALL_FAILED;
-    /* events see the values that relations of time in other parts have now */
-    const int how = settle_values(self, self->now.u);
-    return how == DONE ? let_happen(self) : how;
+    return enter_event_modes(self) == DONE ? let_due_happen(self) : CALL_FAILED;
 }
 
-/* Go back to the begin of a macro step within which there is an event; let it happen if it is there
+/* Go back to the start of a macro step within which there is an event; let it happen if it is there
  * already. */
 static inline int back_to_event(Coupling *self) {
     const int here = same_time(self->system, self->event, self->now.t);
@@ -248,7 +264,10 @@ static inline double first_length(const Coupling *self) {
 /* The longest macro step after one of a length: where each step is as long as it may be, those of a
  * refined run are half as long at the same time, not the same ones after a shorter first step. */
 static inline double longer(const Coupling *self, double length) {
-    return length * (1 + (LONGER - 1) * fmax(self->system->refinement, 0.5));
+    const double refinement = self->system->refinement;
+    const double usual = (LONGER - 1) * fmax(refinement, 0.5);
+    const double checked = isfinite(self->middle) ? (AFTER_START - 1) * refinement : 0;
+    return length * (1 + fmax(usual, checked));
 }
 
 static inline int is_at_goal(const Coupling *self) {
@@ -261,11 +280,10 @@ static inline int run_adaptive(Coupling *self) {
     const double span = system->stop - system->start;
     const double least = fmax(SHORTEST * span, 1.01 * system->quantum);
     const double longest = LONGEST * system->refinement * span;
-    double h = self->h;
     while (!is_at_goal(self)) {
         if (halted) return INTERRUPTED;
         double error = 0;
-        self->next.t = next_end(self, h);
+        self->next.t = next_end(self, self->h);
         const double length = self->next.t - self->now.t;
         if (save_all(self)) return CALL_FAILED;
         if (self->slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
@@ -274,7 +292,8 @@ static inline int run_adaptive(Coupling *self) {
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
-            if (isfinite(self->event)) h = self->event - system->time;
+            if (isfinite(self->event)) self->h = self->event - system->time;
+            if (self->known == 0 && !isfinite(self->event)) self->h = first_length(self);
             continue;
         }
         const int shortest = length <= least || (self->inevitable && self->next.t == self->event);
@@ -292,19 +311,19 @@ static inline int run_adaptive(Coupling *self) {
             if (restore_all_but(self, NULL)) return CALL_FAILED;
             system->part = part;
             if (shortest) return end_here(self);
-            h = length * fmin(fmax(factor, SHORTER), SAFE);
+            self->h = length * fmin(fmax(factor, SHORTER), SAFE);
             continue;
         }
         if (too_far && !self->switched && ++system->forced > MOST_FORCED && !system->quantum)
             return vanished(self, STEP_VANISHED);
         const long long row = system->rows;
+        const double most = longer(self, length);
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         for (long long r = row; too_far && r < system->rows; ++r) system->at_jumps[r] = true;
-        h = fmin(length * fmax(factor, SHORTER), longer(self, length));
-        h = fmin(fmax(h, SHORTEST * span), longest);
+        double h = fmin(length * fmax(factor, SHORTER), most);
         if (self->known == 0) h = first_length(self); /* after an event, or a switch */
-        self->h = h;
+        self->h = fmin(fmax(h, SHORTEST * span), longest);
     }
     return DONE;
 }

@@ -56,7 +56,7 @@ static inline double resolution(const Run *run, double t) {
     return 4 * fmax(rounding, 1e-12 * (t - run->start));
 }
 
-/* Go on to the edge of what the master takes for the begin of the step, over events there. Tells
+/* Go on to the edge of what the master takes for the start of the step, over events there. Tells
  * whether one is left at the edge. */
 static inline int pass_edge(Stepped *self, double edge, bool *event) {
     Exchange *solver = &self->exchange;
@@ -76,7 +76,7 @@ static inline int pass_edge(Stepped *self, double edge, bool *event) {
     return DONE;
 }
 
-/* Steps to an event or a time. An event has to be far enough behind the begin for the inputs to
+/* Steps to an event or a time. An event has to be far enough behind the start for the inputs to
  * show it. */
 static inline int step_until(Stepped *self, double goal, bool *event) {
     Exchange *solver = &self->exchange;
@@ -96,7 +96,7 @@ static inline int step_until(Stepped *self, double goal, bool *event) {
     return pass_edge(self, fmin(edge, goal), event);
 }
 
-/* A step to an event or the end. What is to happen at its begin, as inputs jump there, comes first.
+/* A step to an event or the end. What is to happen at its start, as inputs jump there, comes first.
  */
 static int step_model(void *stepper, double t, double length, bool no_way_back, bool *event,
                       bool *terminate, bool *early, double *last) {

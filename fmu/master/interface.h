@@ -91,6 +91,8 @@ typedef struct {
     Attempts window;
     int slow;        /* whether the last window hardly came on */
     int rateless;    /* whether rates that follow from values are not known at the present point */
+    int guessed;     /* whether a rate of the last settled interface follows from values */
+    double middle;   /* time within the step where outputs are compared with cubics; or INFINITY */
     double most;     /* the largest input so far, in scales */
     int agreed_at;   /* the pass in which the last step's interface agreed */
     double mismatch; /* of outputs and inputs, at output times within the step */
@@ -247,6 +249,7 @@ static inline double rate_of_values(const Coupling *self, const Interface *at, l
 static inline int settle_rates(Coupling *self, Interface *at) {
     System *system = self->system;
     if (self->feedthrough && find_gain(self, at->u)) return CALL_FAILED;
+    self->guessed = 0;
     memset(self->change, 0, (size_t)system->inputs * sizeof *self->change);
     for (long long p = 0; p < system->n_parts; ++p) {
         const Part *part = system->parts + p;
@@ -262,6 +265,7 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     for (long long k = 0; k < m; ++k) {
         at->r[k] = system->held[k] ? 0 : system->factor[k] * self->y[system->source[k]];
         if (isfinite(at->r[k])) continue;
+        self->guessed = 1;
         at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
         memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);
         if (self->rateless && at != &self->now) self->now.r[k] = at->r[k];

@@ -3,26 +3,24 @@
  * Each input is a cubic through values and rates at both ends; the parts are rolled back and step
  * again until the interface at the end agrees with what they were given. What the cubic before the
  * step predicts for its end differs from that by four powers of the step: that is the estimate of
- * the error.
+ * the error. After an event, outputs in the middle of the step tell it.
  *
  * Source  Arnold, Clauss, Schierz, Arch. Mech. Eng. 60, 2013, 75-94 (error of macro steps).
  */
 #ifndef MACRO_STEP_H
 #define MACRO_STEP_H
 
-#include "interface.h"
 #include "interrupt.h"
+#include "prediction.h"
 
-enum { MOST_POINTS = 3 }; /* of a prediction */
 enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
-static const double LONGER = 2.0;   /* of macro steps, times the one before */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
-/* The cubic of an input within the macro step by its derivatives at the time `since` its begin; one
+/* The cubic of an input within the macro step by its derivatives at the time `since` its start; one
  * that has jumped there is the line through value and rate at the end. */
 static inline void cubic_at(const Coupling *self, long long k, double since,
                             double derivatives[4]) {
@@ -180,19 +178,23 @@ static inline int advance(Coupling *self, Part *part, double from, double to) {
 static inline int step_part(Coupling *self, Part *part, int recording) {
     const System *system = self->system;
     const double begin = self->now.t, end = self->next.t;
-    double t = begin;
+    double t = begin, middle = self->middle;
     long long row = system->rows;
-    for (;; ++row) {
-        const int last = !(recording && is_before(system, row, end));
-        const double to = last ? end : system->times[row];
+    for (;;) {
+        const int records = recording && is_before(system, row, end);
+        const double stop = records ? system->times[row] : end;
+        const int compares = middle < stop && !same_time(system, middle, stop);
+        const int last = !records && !compares;
+        const double to = compares ? middle : stop;
         const int how = to > t ? advance(self, part, t, to) : STEPPED;
         if (how == AT_EVENT && last && same_time(system, part->reached, end)) return STEPPED;
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
         const int differs = part->order < MOST_ORDER; /* from the cubics, at the end of its step */
-        if ((differs && set_to_cubics(self, part, t - begin)) || part_record(&self->fmu, part, row))
-            return PART_FAILED;
+        if (differs && set_to_cubics(self, part, t - begin)) return PART_FAILED;
+        if (!compares && part_record(&self->fmu, part, row++)) return PART_FAILED;
+        if (middle < t || same_time(system, middle, t)) middle = INFINITY;
         if (system->method >= EXTRAPOLATED && compare_with_cubics(self, part, t - begin))
             return PART_FAILED;
     }
@@ -289,74 +291,6 @@ static inline int step_parts(Coupling *self, int pass, int recording) {
     return STEPPED;
 }
 
-/* Whether the past tells about the next macro step: one much shorter than it tells rounding. */
-static inline int has_near_past(const Coupling *self) {
-    const double before = self->known ? self->now.t - self->past[0].t : 0;
-    return self->next.t - self->now.t <= 1.01 * LONGER * before;
-}
-
-/* The polynomial through values and rates at the newest points, the present one among them, at the
- * next point; held inputs stay. */
-static inline void predict(const Coupling *self, int points, Interface *next) {
-    const Interface *at[] = {&self->now, &self->past[0], &self->past[1]};
-    const int n = 2 * (int)fmin((double)self->known + 1, points);
-    for (long long k = 0; k < self->system->inputs; ++k) {
-        double d[2 * MOST_POINTS], value = 0, rate = 0; /* divided differences, each point twice */
-        for (int i = 0; i < n; ++i) d[i] = at[i / 2]->u[k];
-        for (int order = 1; order < n; ++order)
-            for (int i = n - 1; i >= order; --i) {
-                const double apart = at[i / 2]->t - at[(i - order) / 2]->t;
-                d[i] = apart != 0 ? (d[i] - d[i - 1]) / apart : at[i / 2]->r[k];
-            }
-        for (int i = n - 1; i >= 0; --i) {
-            const double since = next->t - at[i / 2]->t;
-            rate = value + since * rate;
-            value = d[i] + since * value;
-        }
-        const int stays = self->system->held[k] || self->jumps[k] != 0;
-        next->u[k] = stays ? self->now.u[k] : value;
-        next->r[k] = stays ? 0 : rate;
-    }
-}
-
-static inline void copy(const Coupling *self, Interface *to, const Interface *from) {
-    const size_t size = (size_t)self->system->inputs * sizeof *to->u;
-    to->t = from->t;
-    memcpy(to->u, from->u, size);
-    memcpy(to->r, from->r, size);
-}
-
-/* The interface as one vector without units. */
-static inline void as_vector(const Coupling *self, const Interface *at, double *w) {
-    const long long m = self->system->inputs;
-    const double h = self->next.t - self->now.t;
-    for (long long k = 0; k < m; ++k) {
-        const double size = size_of(self->system, k, self->now.u[k]);
-        w[k] = at->u[k] / size;
-        w[m + k] = h * at->r[k] / size;
-    }
-}
-
-static inline void from_vector(const Coupling *self, const double *w, Interface *at) {
-    const long long m = self->system->inputs;
-    const double h = self->next.t - self->now.t;
-    for (long long k = 0; k < m; ++k) {
-        const double size = size_of(self->system, k, self->now.u[k]);
-        at->u[k] = self->system->held[k] ? self->now.u[k] : w[k] * size; /* without rounding */
-        at->r[k] = w[m + k] * size / h;
-    }
-}
-
-static inline double largest(long long n, const double *a, const double *b) {
-    double found = 0;
-    for (long long i = 0; i < n; ++i) {
-        const double difference = fabs(b ? a[i] - b[i] : a[i]);
-        if (!(difference <= found)) found = difference;
-        if (!isfinite(found)) return found;
-    }
-    return found;
-}
-
 enum { ACCEPTED, REJECTED, EVENT_WITHIN, BROKEN }; /* a macro step */
 
 static inline int may_be_shortened(const Coupling *self) {
@@ -417,6 +351,16 @@ static inline int leave_out_held(Coupling *self, const double *w) {
     return changed;
 }
 
+/* The middle of a step without a past, which no prediction of order 4 judges. Steps that are as
+ * short as rounding have none. */
+static inline double place_to_compare(const Coupling *self) {
+    const System *system = self->system;
+    const double begin = self->now.t, end = self->next.t, middle = begin + (end - begin) / 2;
+    if (self->known || !may_be_shortened(self) || system->quantum > 0) return INFINITY;
+    const int exists = !same_time(system, begin, middle) && !same_time(system, middle, end);
+    return exists ? middle : INFINITY;
+}
+
 /* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree, or their
  * difference gets no smaller: then the best of all counts. `error` is the estimate of the
  * interface's error within, in scales. */
@@ -429,6 +373,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
                                                   : AGREED;
     const int records = is_before(system, system->rows, self->next.t);
     if (!has_near_past(self)) self->known = 0;
+    self->middle = iterates ? place_to_compare(self) : INFINITY;
     if (system->method >= EXTRAPOLATED)
         predict(self, 2, &self->next);
     else
@@ -465,7 +410,9 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
         const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
-        agreed = left <= fmax(share * correction, ROUNDED * self->most);
+        double allowed = share * correction;
+        if (isfinite(self->middle)) allowed = fmin(allowed, system->tolerance / 10);
+        agreed = left <= fmax(allowed, ROUNDED * self->most);
         if (agreed) self->agreed_at = pass;
         if (agreed && (recording || !records)) break;
         idle = left < best ? 0 : idle + 1;
@@ -492,6 +439,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     const double h = self->next.t - self->now.t;
     const double before = self->known ? self->now.t - self->past[0].t : h;
     *error = largest(m, self->found, predicted) * pow(h / (h + before), 2) / 16;
+    if (isfinite(self->middle)) *error = 0; /* of a line; the middle shows that of the cubics */
     *error = self->switched ? INFINITY : fmax(*error, self->mismatch);
     if (*error > system->tolerance) system->input = worst_input(self, predicted);
     return ACCEPTED;

@@ -79,8 +79,8 @@ static bool all_known(Instance *self, const Reference references[], size_t count
 
 static Status refuse_not_finite(Instance *self, size_t reference) {
     const Hint hint = limit_hint(self);
-    return refuse(self, DISCARD, "%s is %g at time %.17g%s%s", variables[reference].name,
-                  self->state.values[reference], self->state.values[TIME], hint.joint, hint.limit);
+    return refuse(self, DISCARD, "%s is not finite at time %.17g%s%s", variables[reference].name,
+                  self->state.values[TIME], hint.joint, hint.limit);
 }
 
 /* Values by reference; none is written unless all are defined and finite. */

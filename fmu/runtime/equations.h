@@ -57,11 +57,18 @@
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
-typedef int Equation(const double **arg, double **res, long long *iw, double *w, int mem);
-typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
+#include "model.h"
 
-/* Counts of arguments and results that the runtime passes at most. */
-enum { MOST_ARGUMENTS = 9, MOST_RESULTS = 4 };
+typedef int Equation(const double **arg, double **res, long long *iw, double *w, int mem);
+
+/* Sizes of the work space, which is enough for each of them: WORK_... of model.h tell what they
+   need, the other numbers what the runtime passes. */
+enum {
+    ROOM_OF_ARG = WORK_ARG > 9 ? WORK_ARG : 9,
+    ROOM_OF_RES = WORK_RES > 4 ? WORK_RES : 4,
+    ROOM_OF_IW = WORK_IW > 1 ? WORK_IW : 1,
+    ROOM_OF_W = WORK_W > 1 ? WORK_W : 1
+};
 
 static Equation model_constants, model_start, model_start_directional;
 static Equation model_algebraic, model_ode, model_outputs;
@@ -69,13 +76,5 @@ static Equation model_directional, model_adjoint, model_jacobian, model_step;
 static Equation model_rank, model_rank_rate, model_project;
 static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
 static Equation model_enclosure, model_limits, model_limit_rates;
-
-static WorkSize model_constants_work, model_start_work, model_start_directional_work;
-static WorkSize model_algebraic_work, model_ode_work, model_outputs_work;
-static WorkSize model_directional_work, model_adjoint_work, model_jacobian_work, model_step_work;
-static WorkSize model_rank_work, model_rank_rate_work, model_project_work;
-static WorkSize model_relations_work, model_rounding_work, model_timed_work;
-static WorkSize model_conditions_work, model_bounds_work, model_enclosure_work;
-static WorkSize model_limits_work, model_limit_rates_work;
 
 #endif

@@ -223,7 +223,7 @@ static bool undo_instant(Instance *self) {
     return true;
 }
 
-/* Leave what is due at the begin of a step to the importer, unless it changes nothing. */
+/* Leave what is due at the start of a step to the importer, unless it changes nothing. */
 static bool leave_change_to_importer(Instance *self) {
     if (!self->host.event_mode || !self->host.may_return_early) return false;
     const State before = self->state;

@@ -14,61 +14,6 @@
 
 #define INSTANCE_MAGIC UINT64_C(0x636f73696d464d55)
 
-static WorkSize *const work_sizes[] = {
-    model_constants_work,   model_start_work,
-    model_algebraic_work,   model_ode_work,
-    model_outputs_work,
-#if !NO_DERIVATIVES
-    model_directional_work, model_start_directional_work,
-    model_jacobian_work,
-#endif
-#if HAS_ADJOINT
-    model_adjoint_work,
-#endif
-#if !SOLVER_DOP853
-    model_step_work,
-#endif
-#if HAS_RANK
-    model_rank_work,        model_rank_rate_work,
-    model_project_work,
-#endif
-#if HAS_EVENTS
-    model_relations_work,   model_rounding_work,
-    model_timed_work,       model_conditions_work,
-#endif
-#if BOUNDED > 0
-    model_bounds_work,
-#endif
-#if ENCLOSED > 0
-    model_enclosure_work,
-#endif
-#if BOUNDED_LIMITS > 0
-    model_limits_work,      model_limit_rates_work,
-#endif
-};
-
-typedef struct {
-    size_t arg, res, iw, w;
-} Room;
-
-static size_t larger(size_t room, long long wanted) {
-    return wanted > 0 && (size_t)wanted > room ? (size_t)wanted : room;
-}
-
-/* Work space that is enough for each of the equations. */
-static Room work_room(void) {
-    Room room = {MOST_ARGUMENTS, MOST_RESULTS, 1, 1};
-    for (size_t i = 0; i < sizeof work_sizes / sizeof *work_sizes; i++) {
-        long long arg = 0, res = 0, iw = 0, w = 0;
-        work_sizes[i](&arg, &res, &iw, &w);
-        room.arg = larger(room.arg, arg);
-        room.res = larger(room.res, res);
-        room.iw = larger(room.iw, iw);
-        room.w = larger(room.w, w);
-    }
-    return room;
-}
-
 /* Put everything but logging back to where a new instance has it. */
 static void reset(Instance *self) {
     const uint32_t interface = self->state.interface;
@@ -109,12 +54,11 @@ static Instance *create(const Host *host, const char *function, const char *name
         return NULL;
     }
 
-    const Room room = work_room();
     const size_t name_size = strlen(name) + 1;
     const size_t jacobian = (NX + NZ) * (NX + NU);
     const size_t size = sizeof(Instance) + jacobian * sizeof(double) +
-                        room.arg * sizeof *draft.arg + room.res * sizeof *draft.res +
-                        room.iw * sizeof *draft.iw + room.w * sizeof *draft.w + name_size;
+                        ROOM_OF_ARG * sizeof *draft.arg + ROOM_OF_RES * sizeof *draft.res +
+                        ROOM_OF_IW * sizeof *draft.iw + ROOM_OF_W * sizeof *draft.w + name_size;
     Instance *self = take_memory(size);
     if (!self) {
         log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
@@ -125,11 +69,11 @@ static Instance *create(const Host *host, const char *function, const char *name
     self->categories = logging ? UINT32_MAX : 0;
     self->jacobian = (double *)(self + 1);
     self->w = self->jacobian + jacobian;
-    void *behind = self->w + room.w;
+    void *behind = self->w + ROOM_OF_W;
     self->iw = behind;
-    self->arg = (const double **)(self->iw + room.iw);
-    self->res = (double **)(self->arg + room.arg);
-    self->name = memcpy(self->res + room.res, name, name_size);
+    self->arg = (const double **)(self->iw + ROOM_OF_IW);
+    self->res = (double **)(self->arg + ROOM_OF_ARG);
+    self->name = memcpy(self->res + ROOM_OF_RES, name, name_size);
     self->state.interface = interface;
 #if HAS_EVENTS
     for (int i = 0; i < NX; i++) self->sizes[i] = variables[FIRST_STATE + i].nominal;

@@ -84,7 +84,7 @@ static bool keep_to_constraints(Problem *self, double t, double *x) {
     double u[ROOM(NU)] = {0};
     inputs_at(self->fmu, t, u);
     const double distance = distance_at(self, t, x, NULL);
-    return distance >= POOR || (distance >= LEAST_RANK && restore(self->fmu, t, u, x));
+    return distance >= POOR || (distance >= LEAST_RANK && keep_constraints(self->fmu, t, u, x));
 }
 #else
 #define time_to_loss(self, t, x) ((void)(self), (void)(t), (void)(x), INFINITY)

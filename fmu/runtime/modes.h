@@ -22,7 +22,7 @@ static Status refuse_ending(Instance *self, Status severity, const Ending *why,
 static Status start_modes(Instance *self);
 
 /* In step mode, put relations on the sides that inputs and parameters require which were set since
-   the last step, as an event at the begin of the next one will; and put them back, which a step and
+   the last step, as an event at the start of the next one will; and put them back, which a step and
    a setter do before anything else. An importer that handles events does so in event mode. */
 static void take_sides(Instance *self);
 static void leave_sides(Instance *self);

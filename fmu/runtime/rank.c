@@ -6,16 +6,16 @@
 #include <string.h>
 
 #include "constants.h"
+#include "cubic.h"
 #include "equations.h"
 #include "logging.h"
+#include "projection.h"
 
 #if HAS_RANK
 
 static const double FURTHEST = 2; /* lengths of a cubic, beyond its end */
 
-enum { POINTS = 32, ZOOMS = 4, MOST_CORRECTIONS = 5 };
-
-static const double ROOT_OF_ROUNDING = 1e-8; /* such a Newton step leaves an error of rounding */
+enum { POINTS = 32, ZOOMS = 4 };
 
 double rank_at(Instance *self, double *rate) {
     double distance = 0;
@@ -28,21 +28,11 @@ double rank_at(Instance *self, double *rate) {
     return distance;
 }
 
-bool restore(Instance *self, double t, const double u[], double x[]) {
-    for (int i = 0; i < MOST_CORRECTIONS; i++) {
-        double moved[NX], change = 0;
-        self->arg[0] = &t;
-        self->arg[1] = x;
-        self->arg[2] = u;
-        self->arg[3] = self->constants;
-        self->res[0] = moved;
-        self->res[1] = &change;
-        if (model_project(self->arg, self->res, self->iw, self->w, 0) || !isfinite(change))
-            return false;
-        memcpy(x, moved, sizeof moved);
-        if (change <= ROOT_OF_ROUNDING) return true;
-    }
-    return false;
+bool keep_constraints(Instance *self, double t, const double u[], double x[]) {
+    self->arg[2] = u;
+    self->arg[3] = self->constants;
+    const Work work = {self->arg, self->res, self->iw, self->w};
+    return !project_state(model_project, &work, t, x);
 }
 
 static Look look(Instance *self) {
@@ -76,12 +66,11 @@ void note_rank(Instance *self) {
 
 /* The distance on the cubic through the states and derivatives of two evaluations. */
 static double distance_on(Instance *self, const Look *from, const Look *to, double share) {
-    const double h = to->time - from->time, t = from->time + share * h, rest = 1 - share;
+    const double h = to->time - from->time, t = from->time + share * h;
     const double *values = self->state.values;
-    double x[NX];
+    double x[NX], rate;
     for (int i = 0; i < NX; i++)
-        x[i] = rest * rest * ((1 + 2 * share) * from->x[i] + share * h * from->dx[i]) +
-               share * share * ((3 - 2 * share) * to->x[i] - rest * h * to->dx[i]);
+        x[i] = on_cubic(from->x[i], to->x[i], from->dx[i], to->dx[i], h, share, &rate);
     pass_point(self, &t, x, values + FIRST_ALGEBRAIC, values + FIRST_INPUT);
     return rank_at(self, NULL);
 }

@@ -12,7 +12,7 @@
 static double rank_at(Instance *self, double *rate);
 
 /* Move the states of a time to where the constraints hold; false where that cannot be done. */
-static bool restore(Instance *self, double t, const double u[], double x[]);
+static bool keep_constraints(Instance *self, double t, const double u[], double x[]);
 
 /* Begin to watch; note an evaluation; look back over a step that is completed, and return `status`
    where there was a singular configuration on the way. Derivatives must be fresh. */

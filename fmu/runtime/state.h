@@ -37,7 +37,7 @@ enum {
     INTERFACE_ME = 1 << 8,
     INTERFACE_CS = 1 << 9,
     INTERMEDIATE_UPDATE = 1 << 10, /* FMI 3: within a communication step */
-    INTERMEDIATE_INPUTS = 1 << 11, /* FMI 3: at its begin, while inputs are asked for */
+    INTERMEDIATE_INPUTS = 1 << 11, /* FMI 3: at its start, while inputs are asked for */
     EITHER = INTERFACE_ME | INTERFACE_CS
 };
 

@@ -6,7 +6,6 @@
 
 #include "dop853.h"
 #include "interrupt.h"
-#include "projection.h"
 #include "watch.h"
 
 enum { MOST_STEPS = 100000 }; /* per output interval */

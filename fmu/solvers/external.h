@@ -12,14 +12,17 @@
 #ifndef EXTERNAL_H
 #define EXTERNAL_H
 
+#if !defined WORK_ARG || !defined WORK_RES || !defined WORK_IW || !defined WORK_W
+#error "define WORK_ARG, WORK_RES, WORK_IW and WORK_W, the work space of the generated functions"
+#endif
+
 #define SETTINGS (6 + NX)
 #include "shapes.h"
 #include "timed.h"
 
 /* What the functions below run; generated code fills it. */
 typedef struct {
-    Equations *rhs, *project, *watch;
-    WorkSize *rhs_work, *project_work, *watch_work; /* NULL with the function */
+    Equations *rhs, *project, *watch; /* NULL where there is none */
     Integrate *integrate;
 } Solver;
 
@@ -57,28 +60,12 @@ SHARED void cosim_prepare(double *rows, long long count, double *left, const dou
 
 enum { OWN_ARGUMENTS = 4, OWN_RESULTS = 2 }; /* of `run`; they come first in the work space */
 
-static inline void widen(long long *size, long long wanted) {
-    if (wanted > *size) *size = wanted;
-}
-
 SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w) {
-    WorkSize *const others[] = {solver.project_work, solver.watch_work};
-    int failed = solver.rhs_work(sz_arg, sz_res, sz_iw, sz_w);
-    widen(sz_arg, LAWS_ARG);
-    widen(sz_res, LAWS_RES);
-    widen(sz_iw, LAWS_IW);
-    widen(sz_w, LAWS_W);
-    for (int i = 0; i < 2; ++i) {
-        long long arg = 0, res = 0, iw = 0, w = 0;
-        if (others[i]) failed |= others[i](&arg, &res, &iw, &w);
-        widen(sz_arg, arg);
-        widen(sz_res, res);
-        widen(sz_iw, iw);
-        widen(sz_w, w);
-    }
-    *sz_arg += OWN_ARGUMENTS;
-    *sz_res += OWN_RESULTS;
-    return failed;
+    *sz_arg = OWN_ARGUMENTS + WORK_ARG;
+    *sz_res = OWN_RESULTS + WORK_RES;
+    *sz_iw = WORK_IW;
+    *sz_w = WORK_W;
+    return 0;
 }
 
 /* Links a problem and what watches it to the model and to the caller's work space. */

@@ -3,7 +3,6 @@
 #define FIXED_H
 
 #include "interrupt.h"
-#include "projection.h"
 #include "quintic.h"
 #include "watch.h"
 
@@ -32,7 +31,7 @@ static inline int step_of_method(Problem *self, double t, double h, int first, d
     return 0;
 }
 
-/* A step that was made, from state and slope at its begin to those at its end. */
+/* A step that was made, from state and slope at its start to those at its end. */
 typedef struct {
     Problem *problem;
     double x[NX], slope[NX];

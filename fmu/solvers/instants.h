@@ -11,8 +11,8 @@
 #include "model_laws.h"
 #include "search.h"
 
-#if !defined LAWS_ARG || !defined LAWS_RES || !defined LAWS_IW || !defined LAWS_W
-#error "define LAWS_ARG, LAWS_RES, LAWS_IW and LAWS_W, the workspace of the functions of the laws"
+#if !defined WORK_ARG || !defined WORK_RES || !defined WORK_IW || !defined WORK_W
+#error "define WORK_ARG, WORK_RES, WORK_IW and WORK_W, the work space of the functions of the laws"
 #endif
 
 /* What Python mirrors; its size is compared when a library is loaded. */
@@ -40,10 +40,10 @@ typedef struct {
     Laws laws;
     Point at;
     Switching *switching;
-    const double *arg[LAWS_ARG];
-    double *res[LAWS_RES];
-    long long iw[LAWS_IW];
-    double w[LAWS_W];
+    const double *arg[WORK_ARG + 1];
+    double *res[WORK_RES + 1];
+    long long iw[WORK_IW + 1];
+    double w[WORK_W + 1];
 } Kernel;
 
 static inline void open_kernel(Kernel *self, const Call *call) {

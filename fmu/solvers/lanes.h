@@ -8,10 +8,10 @@
 
 #include <math.h>
 #include <string.h>
-#if defined(__AVX512F__) || defined(__AVX__)
-#include <immintrin.h>
-#endif
 
+#ifndef __has_builtin /* GCC before 10 */
+#define __has_builtin(name) 0
+#endif
 #if defined(__GNUC__) && !defined(__clang__)
 /* GCC 12 drops stores of vectors that a copy by `rep movs` reads, as it does for some processors.
  */
@@ -63,11 +63,14 @@ static inline V larger(V a, V b) {
     return pick(a > b, a, pick(b == b, b, a));
 }
 
+/* By built-in functions: <immintrin.h> takes longer to compile than all else of most models. */
 static inline V root(V a) {
-#if LANES == 8 && defined(__AVX512F__)
-    return (V)_mm512_sqrt_pd((__m512d)a);
-#elif LANES == 4 && defined(__AVX__)
-    return (V)_mm256_sqrt_pd((__m256d)a);
+#if __has_builtin(__builtin_elementwise_sqrt)
+    return __builtin_elementwise_sqrt(a);
+#elif LANES == 8 && defined(__AVX512F__) && __has_builtin(__builtin_ia32_sqrtpd512_mask)
+    return __builtin_ia32_sqrtpd512_mask(a, a, -1, 4); /* all lanes, rounded as set */
+#elif LANES == 4 && defined(__AVX__) && __has_builtin(__builtin_ia32_sqrtpd256)
+    return __builtin_ia32_sqrtpd256(a);
 #else
     FOR_LANES a[l] = sqrt(a[l]);
     return a;

@@ -4,9 +4,9 @@
 
 #include "lanes.h"
 
-#if !defined NX || !defined NU || !defined NP || !defined START_ARG || !defined START_RES ||       \
-    !defined START_IW || !defined START_W
-#error "define NX, NU, NP, and the sizes that model_start needs, START_ARG to START_W"
+#if !defined NX || !defined NU || !defined NP || !defined WORK_ARG || !defined WORK_RES ||         \
+    !defined WORK_IW || !defined WORK_W
+#error "define NX, NU, NP, and the sizes that model_start needs, WORK_ARG to WORK_W"
 #endif
 
 /* Generated: start values and their defect; not 0 if there are none. */
@@ -14,9 +14,9 @@ int model_start(const double **arg, double **res, long long int *iw, double *w, 
 
 LANES_SHARED void lanes_start(long long runs, double t, double *x, const double *u, const double *p,
                               double *defect) {
-    const double *arg[START_ARG];
-    double *res[START_RES], w[START_W], solved[NX];
-    long long int iw[START_IW];
+    const double *arg[WORK_ARG + 1];
+    double *res[WORK_RES + 1], w[WORK_W + 1], solved[NX];
+    long long int iw[WORK_IW + 1];
     for (long long run = 0; run < runs; ++run, x += NX, u += NU, p += NP) {
         arg[0] = &t;
         arg[1] = x;

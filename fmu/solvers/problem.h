@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "ode.h"
+#include "projection.h"
 
 #if !defined NZ || !defined NU || !defined NC
 #error "define NZ, NU and NC: how many algebraic unknowns, inputs and constants there are"
@@ -13,9 +14,6 @@
 
 /* Codes 0 to 3 are those of CasADi's own integrators. */
 enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT, STIFF };
-
-/* What such a function needs to work. */
-typedef int WorkSize(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w);
 
 typedef struct {
     Equations *rhs;     /* (t, x, z guess, u, c) -> (dx/dt, z) */
@@ -47,6 +45,15 @@ static inline int equations_at(Problem *self, double t, const double *x, double 
     return self->rhs(self->arg, self->res, self->iw, self->w, 0);
 }
 
+/* Moves a state to where the invariants vanish, if there are any; 0 is success. */
+static inline int restore(const Problem *self, double t, double *x) {
+    if (!self->project) return 0;
+    self->arg[2] = self->u;
+    self->arg[3] = self->c;
+    const Work work = {self->arg, self->res, self->iw, self->w};
+    return project_state(self->project, &work, t, x);
+}
+
 static inline int problem_slope(void *problem, double t, const double *x, double *dx) {
     return equations_at(problem, t, x, dx, NULL);
 }
@@ -63,7 +70,7 @@ typedef struct {
     double begin, end;
     const double *times;
     long long points;
-    double *first; /* takes the unknowns at the begin; NULL where they are not wanted */
+    double *first; /* takes the unknowns at the start; NULL where they are not wanted */
     double *states, *unknowns;
     double largest;
 } Grid;

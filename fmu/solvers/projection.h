@@ -7,24 +7,28 @@
 #ifndef PROJECTION_H
 #define PROJECTION_H
 
-#include "problem.h"
+#include "ode.h"
 
 static const double ROOT_OF_ROUNDING = 1e-8; /* such a Newton step leaves an error of rounding */
 enum { MOST_CORRECTIONS = 5 };
 
-/* Moves the state of a time; returns 0 where it has succeeded. */
-static inline int restore(const Problem *self, double t, double *x) {
-    double moved[NX], change = 0;
-    if (!self->project) return 0;
+/* Where CasADi's functions find their arguments, results and memory. */
+typedef struct {
+    const double **arg;
+    double **res;
+    long long *iw;
+    double *w;
+} Work;
+
+/* Moves the state of a time, where u and c are already passed; returns 0 where it has succeeded. */
+static inline int project_state(Equations *project, const Work *work, double t, double *x) {
+    double moved[NX] = {0}, change = 0;
+    work->arg[0] = &t;
+    work->arg[1] = x;
+    work->res[0] = moved;
+    work->res[1] = &change;
     for (int i = 0; i < MOST_CORRECTIONS; ++i) {
-        self->arg[0] = &t;
-        self->arg[1] = x;
-        self->arg[2] = self->u;
-        self->arg[3] = self->c;
-        self->res[0] = moved;
-        self->res[1] = &change;
-        if (self->project(self->arg, self->res, self->iw, self->w, 0) || !isfinite(change))
-            return 1;
+        if (project(work->arg, work->res, work->iw, work->w, 0) || !isfinite(change)) return 1;
         memcpy(x, moved, sizeof moved);
         if (change <= ROOT_OF_ROUNDING) return 0;
     }

@@ -8,7 +8,7 @@
 #define WATCH_H
 
 #include "model_laws.h"
-#include "projection.h"
+#include "problem.h"
 #include "search.h"
 
 enum { RECORD = 1 + 2 * (NX + NZ + MODES) + MODES + EVENTS };

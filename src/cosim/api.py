@@ -35,7 +35,7 @@ def simulate(
     Args:
         dae: The model, the name of one, or a request whose fields are the defaults of all other
             arguments; SI units throughout.
-        start_time: Begin of the run, s; 0 when None.
+        start_time: Start of the run, s; 0 when None.
         stop_time: End of the run, s; the model's own span after `start_time` when None.
         output_interval: Distance of the output times, s; the model's own when None. The last
             output is at `stop_time` in any case.

@@ -2,8 +2,7 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -11,9 +10,11 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.cbook import is_math_text
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 
 from cosim.arrays import Vector
 from cosim.colors import INVALID
@@ -29,7 +30,18 @@ UNDATED = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 class Picture(Figure):
-    """A figure that a notebook shows by itself."""
+    """A figure that a notebook shows by itself.
+
+    A model's text between dollar signs that is no formula is drawn as it is written.
+    """
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw the figure."""
+        for text in self.findobj(Text):
+            assert isinstance(text, Text)
+            if _wrong_formula(text.get_text()):
+                text.set_parse_math(False)
+        super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
         return picture(self, "png")
@@ -86,7 +98,7 @@ def embedded(figure: Figure, alt: str) -> str:
 def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
     """Return the content of a picture file; the same figure gives the same bytes."""
     content = io.BytesIO()
-    with _valid_formulas(), matplotlib.rc_context({"svg.hashsalt": "cosim"}):
+    with matplotlib.rc_context({"svg.hashsalt": "cosim"}):
         figure.savefig(content, format=kind, dpi=dpi, metadata=UNDATED[kind])
     return content.getvalue()
 
@@ -97,28 +109,21 @@ def reject_formulas(texts: Iterable[str]) -> None:
     Raises:
         UsageError: One of them has such a formula.
     """
-    with _valid_formulas():
-        for text in filter(is_math_text, texts):
-            MathTextParser("path").parse(text)
-
-
-@contextmanager
-def _valid_formulas() -> Iterator[None]:
-    """Reject a text whose part between dollar signs matplotlib cannot read as a formula.
-
-    Raises:
-        UsageError: It is a title, or the description of a variable.
-    """
-    try:
-        yield
-    except ValueError as error:
-        if "Parse" not in str(error):
-            raise
-        formula = str(error).strip().splitlines()[0]
+    for formula in filter(None, map(_wrong_formula, texts)):
         raise UsageError(
             f"a text of the figure has the formula '{formula}', which matplotlib cannot read; "
             "correct it, or write \\$ for a dollar sign"
-        ) from error
+        )
+
+
+def _wrong_formula(text: str) -> str:
+    """Return the part of a text between dollar signs that matplotlib cannot read as a formula."""
+    if is_math_text(text):
+        try:
+            MathTextParser("path").parse(text)
+        except ValueError as error:
+            return str(error).strip().splitlines()[0]
+    return ""
 
 
 FORMATS = ("png", "svg", "pdf")
@@ -195,7 +200,7 @@ def _pages(figures: Sequence[Figure]) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages  # loads slowly
 
     content = io.BytesIO()
-    with _valid_formulas(), PdfPages(content, metadata=UNDATED["pdf"]) as pdf:
+    with PdfPages(content, metadata=UNDATED["pdf"]) as pdf:
         for figure in figures:
             pdf.savefig(figure)
     return content.getvalue()

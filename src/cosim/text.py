@@ -136,6 +136,9 @@ def csv_cell(text: str) -> str:
     return f"'{shown}" if shown.startswith(("=", "+", "-", "@")) else shown
 
 
+MOST_NAMES = 8  # in a line
+
+
 def shortened(names: Sequence[str], most: int) -> str:
     """Return names with commas between them, and dots for those beyond `most`."""
     return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -72,9 +72,11 @@ def test_wrong_options_exit_with_their_code(words, code, expected, capsys, tmp_p
     assert expected in capsys.readouterr().err
 
 
-def test_missing_extra_ends_with_5(capsys, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "meshcat", None)
-    code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / "x.html")
+@pytest.mark.parametrize(("package", "kind"), [("meshcat", "html"), ("imageio_ffmpeg", "mp4")])
+def test_missing_extra_ends_with_5_before_the_run(package, kind, capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delattr("cosim.cli.verbs.animate.runs_of")
+    code = animate("crank_shaft", "--stop-time", "0.1", "-o", tmp_path / f"x.{kind}")
     assert code == 5
     assert 'pip install "cosim-rigid[animate]"' in capsys.readouterr().err
 

@@ -1,12 +1,16 @@
 """Structures that Python and C share have one declaration, that of the C headers."""
 
 import ctypes
+import re
+
+import pytest
 
 from cosim.codegen.c_fields import fields
-from cosim.codegen.c_sources import master_source
+from cosim.codegen.c_sources import master_source, source_text
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.c_structures import PartOfC, SystemOfC
-from cosim.fmi.run.c_structures import Functions, Recording, Run
+from cosim.fmi.run.c_structures import Ending, Functions, Recording, Run
+from cosim.integrate.kernel import Reason, State
 
 
 def test_fields_are_those_of_the_header_in_their_order():
@@ -34,3 +38,19 @@ def test_structures_have_the_sizes_of_the_compiler():
     library = ctypes.CDLL(str(cached_library(f"sizes {text}", lambda: text)))
     library.all_sizes.restype = ctypes.POINTER(ctypes.c_size_t * len(mirrored))
     assert list(library.all_sizes().contents) == [ctypes.sizeof(mirror) for mirror in mirrored]
+
+
+@pytest.mark.parametrize(
+    ("header", "mirror"),
+    [
+        ("solvers/hybrid/settle.h", Reason),
+        ("solvers/hybrid/switching.h", State),
+        ("master/run.h", Ending),
+    ],
+)
+def test_numbers_that_python_names_are_those_of_the_header(header, mirror):
+    text = re.sub(r"/\*.*?\*/", "", source_text(header), flags=re.DOTALL)
+    enumerations = (re.findall(r"\w+", body) for body in re.findall(r"enum \{([\s\w,]*)\}", text))
+    (names,) = (found for found in enumerations if mirror(0).name in found)
+    assert [member.name for member in mirror] == names
+    assert [*mirror] == [*range(len(names))]

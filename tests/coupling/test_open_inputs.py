@@ -52,6 +52,25 @@ def test_input_that_nothing_drives_is_listed(toml, capsys):
     assert "driven by nothing: b.u, b.v" in capsys.readouterr().out
 
 
+def test_many_inputs_that_nothing_drives_take_one_short_line(tmp_path, capsys):
+    (tmp_path / "models.py").write_text(
+        "import cosim\n\n\ndef wide():\n"
+        "    model = cosim.Model('wide', stop_time=1.0)\n"
+        "    x = model.state('x', 'm', 0.0, 'place')\n"
+        "    force = sum(model.input(f'u{i}', 'm', 0.0, 'rate') for i in range(60))\n"
+        "    model.derivative(x, force)\n"
+        "    return model.freeze()\n"
+    )
+    path = tmp_path / "wide.toml"
+    path.write_text(
+        "[parts]\na = 'models.py:wide'\nb = 'models.py:wide'\n[connections]\n'b.u0' = 'a.x'\n"
+    )
+    assert main(["info", str(path)]) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if "driven by nothing" in x)
+    assert line.startswith("  driven by nothing: 119 inputs: a.u0, a.u1, ")
+    assert len(line) < 120  # 880 before
+
+
 @pytest.mark.slow_rows("options1")
 @pytest.mark.parametrize("options", [[], ["--method", "jacobi", "--macro-step", "0.5"]])
 def test_run_names_it_once(toml, capsys, options):
@@ -138,6 +157,22 @@ def test_byte_order_mark_before_the_first_table_is_read(toml, text):
     path = toml(text, encoding="utf-8-sig")
     assert is_system(path)
     assert list(read_system(path).parts) == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['["parts"]\na = "{0}"', 'parts.a = "{0}"', "parts = {{a = '{0}'}}", "parts.'a' = '{0}'"],
+)
+def test_every_spelling_of_the_parts_makes_a_system(tmp_path, text):
+    (tmp_path / "system.toml").write_text(text.format("crank_shaft") + "\n")
+    assert is_system(tmp_path / "system.toml")
+    assert list(read_system(tmp_path / "system.toml").parts) == ["a"]
+
+
+def test_scene_that_mentions_parts_is_none(tmp_path):
+    text = 'model = "crank_shaft"\ntitle = """\n[parts]\n"""\n'
+    (tmp_path / "scene.toml").write_text(text)
+    assert not is_system(tmp_path / "scene.toml")
 
 
 def test_system_without_parts_is_rejected(toml):

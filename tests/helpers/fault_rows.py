@@ -76,7 +76,7 @@ def _numbers() -> Iterator[Row]:
         words = ("simulate", "crank_shaft", f"--{told}=1e-300", "--solver", solver)
         yield Row(f"{solver} --{told}=1e-300", words, 2, told.replace("-", "."))
     words = ("export", "crank_shaft", "-o", "c.fmu", "--solver=rk4", "--step-size=1e-300")
-    yield Row("export --step-size=1e-300", words, 2, "step_size")
+    yield Row("export --step-size=1e-300", words, 2, "step.size")
 
     for value in ("nan", "-1", "2"):
         words = ("tradeoff", "crank_shaft/driven", f"--relative-tolerance={value}")

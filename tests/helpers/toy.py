@@ -136,10 +136,14 @@ def write(
         *(f"#define {macro} {counts[role]}" for role, macro in ROLES.items()),
         f"#define NC {2 * counts['PARAMETER']}",
     ]
+    functions = [*_contract(model, most_steps), *_rank_functions(model)[: 3 * rank]]
+    for kind in ("arg", "res", "iw", "w"):
+        most = max(getattr(function, f"sz_{kind}")() for function in functions)
+        header.append(f"#define WORK_{kind.upper()} {most}")
     (folder / "model.h").write_text("\n".join(header) + "\n")
     (folder / "dop853_coefficients.h").write_text(dop853_coefficients())
     generator = ca.CodeGenerator("equations.c")
-    for function in (*_contract(model, most_steps), *_rank_functions(model)[: 3 * rank]):
+    for function in functions:
         generator.add(function)
     generator.generate(f"{folder}/")
     code = (folder / "equations.c").read_text()

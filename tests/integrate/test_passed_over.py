@@ -109,6 +109,21 @@ def test_two_bumps_in_one_step_are_both_seen():
     assert abs(run["x_2"][-1] / right - 1) < 1e-4
 
 
+@pytest.mark.slow_rows("dop853")
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk"])
+def test_a_bump_under_a_damper_is_seen_although_its_push_and_pull_cancel(solver):
+    width, x = 1e-2, SX.sym("x", 3)
+    c = (x[0] - PLACE) / width
+    rising = SPEED * HEIGHT * -2 * c / width * ca.exp(-(c**2))  # of the ground, m/s
+    laws = {"x": x, "ode": ca.vertcat(SPEED, x[2], -25 * x[1] - (x[2] - rising))}
+    dae = cosim.from_casadi(laws, name="damper", stop_time=7, output_interval=0.5)
+    run = cosim.simulate(dae, solver=solver)
+    t, w = 7 - PLACE / SPEED, np.sqrt(25 - 0.25)
+    area = HEIGHT * width * np.sqrt(np.pi) / SPEED
+    right = area * np.exp(-t / 2) * (np.cos(w * t) - np.sin(w * t) / (2 * w))
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2  # before: 1
+
+
 @pytest.mark.parametrize(("place", "share"), [(0.0, 0.5), (69.9, 1.0)])
 def test_bumps_at_the_start_and_near_the_end_are_seen(place, share):
     dae = on_road(lambda s: HEIGHT * ca.exp(-(((s - place) / 1e-2) ** 2)), output_interval=0.5)
@@ -302,6 +317,8 @@ def test_a_table_of_two_states_is_named():
     dae = cosim.from_casadi(laws, name="ground", stop_time=1, output_interval=0.1)
     run = cosim.simulate(dae, solver="dop853")
     assert "may pass over changes of a term of x_1, x_2" in run.stats["note"]
+    run = cosim.simulate(dae, solver="ode8")
+    assert "a term of x_1, x_2; set a smaller step_size" in run.stats["note"]  # before: none
 
 
 def test_info_names_the_terms_whose_changes_are_found():
@@ -330,3 +347,40 @@ def test_ctrl_c_in_a_further_run_ends_it(monkeypatch):
         count, last = 0, further
         with pytest.raises(Interrupted):  # before: a run that passes over the bump
             cosim.simulate(dae)
+
+
+@pytest.mark.slow_rows("cvodes")
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_a_bump_of_a_table_whose_argument_is_limited_is_seen(solver):
+    knots = np.linspace(-1, 1, 401)
+    heights = HEIGHT * np.exp(-((knots / 0.02) ** 2))
+    table = ca.interpolant("bump", "linear", [knots], heights)
+    dae = on_road(lambda s: table(ca.fmin(ca.fmax(s - PLACE, -1), 1)), ca.MX, output_interval=0.5)
+    run = cosim.simulate(dae, solver=solver)
+    right = after_an_impulse(np.trapezoid(heights, knots))
+    assert abs(run["x_2"][-1] / right - 1) < 1e-2  # before: 1, with a note
+    assert "note" not in run.stats
+
+
+@pytest.mark.parametrize("form", [ca.log, ca.sin, lambda a: 1 / a])
+def test_a_bump_in_a_sum_within_another_term_is_seen(form):
+    s, y, width = SX.sym("s"), SX.sym("y"), 1e-2
+    bump = ca.exp(-(((s - PLACE) / width) ** 2))
+    change = (form(30 + s + bump) - form(30 + s)) / width
+    laws = {"x": ca.vertcat(s, y), "ode": ca.vertcat(SPEED, change)}
+    dae = cosim.from_casadi(laws, name="sum", stop_time=7, output_interval=0.5)
+    run = cosim.simulate(dae, solver="dop853")
+    at = np.linspace(PLACE - 10 * width, PLACE + 10 * width, 10_001)
+    rates = np.array(ca.Function("rate", [s], [change])(at[None])).ravel()
+    right = np.trapezoid(rates, at) / SPEED
+    assert abs(run["y"][-1] / right - 1) < 1e-3  # before: 1 with the logarithm and the quotient
+
+
+@pytest.mark.parametrize("mover", ["time", "s"])
+def test_a_bump_shorter_than_rounding_is_noted(mover):
+    t, s, y, width = SX.sym("t"), SX.sym("s"), SX.sym("y"), 1e-17
+    bump = ca.exp(-((((t if mover == "time" else s) - 5.3) / width) ** 2)) / width
+    laws = {"t": t, "x": ca.vertcat(s, y), "ode": ca.vertcat(1, bump)}
+    dae = cosim.from_casadi(laws, name="short", stop_time=7, output_interval=0.5)
+    run = cosim.simulate(dae, solver="dop853")
+    assert f"a term of {mover} near 5.3 s, which is shorter than rounding" in run.stats["note"]

@@ -1,3 +1,5 @@
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -82,15 +84,22 @@ def test_rate_of_a_quaternion_keeps_its_length():
     np.testing.assert_allclose(value(growth, *at), 0, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("axis", [0, 4, -1, "x", None])
+@pytest.mark.parametrize("axis", [0, 4, -1, 1.0, "x", None, np.ones((1, 1)), SX.sym("a")])
 def test_axis_that_does_not_exist_is_refused(axis):
+    named = re.escape(f"axis {axis} does not exist; use 1, 2 or 3")
     for function in (ro.about, ro.quaternion_about):
-        with pytest.raises(ValueError, match=f"axis {axis} does not exist; use 1, 2 or 3"):
+        with pytest.raises(ValueError, match=named):
             function(axis, SX(0.1))
-    with pytest.raises(ValueError, match=f"axis {axis} does not exist"):
+    with pytest.raises(ValueError, match=named):
         ro.unit(axis)
 
 
 def test_sequence_and_angles_of_different_length_are_refused():
     with pytest.raises(ValueError, match="shorter"):
         ro.body_fixed((3, 1, 3), SX.zeros(2), SX.zeros(3))
+
+
+@pytest.mark.parametrize("wrong", [None, "x", [1, 0, 0, 0], 1.0, SX.zeros(3), SX.zeros(1, 4)])
+def test_what_is_no_quaternion_is_rejected(wrong):
+    with pytest.raises(ValueError, match=r"is no quaternion; give an SX of shape \(4, 1\)"):
+        ro.from_quaternion(wrong)

@@ -268,7 +268,7 @@ def test_meshes_are_closed_and_seen_from_outside(run):
         ),
         ("x.html", {"view": "back"}, UnknownName, "no view 'back'"),
         ("x.html", {"speed": 0}, UsageError, "speed 0 is not positive"),
-        ("x.html", {"at": [0.5]}, UsageError, "at= needs a still picture; name a .png file"),
+        ("x.html", {"at": [0.5]}, UsageError, "only a picture shows chosen times; name a .png"),
         ("x.png", {"at": [5.0]}, UsageError, "5 s lies outside the run"),
         ("x.png", {"labels": ["angel"]}, UnknownName, "did you mean angle?"),
         ("x.png", {"follow": "cart"}, UsageError, "no body 'cart' to follow; there are disk"),

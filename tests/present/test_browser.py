@@ -114,6 +114,34 @@ def test_every_recorded_system_moves_in_the_browser(model, tmp_path):
     assert found == [True, True, pytest.approx(0.4 * run.time[-1])]
 
 
+def test_bodies_stay_in_the_picture_where_a_slider_makes_them_swing_wider(tmp_path):
+    pytest.importorskip("ziglang")
+    path = animate(cosim.load("disk_two_bars"), tmp_path / "x.html")
+    code = f"""
+        location.hash = "#Omega=12.5"; // twice the speed
+        await new Promise((done) => setTimeout(done, 50));
+        {FRAMES}
+        const {{ camera, actors, scene }} = player.scene;
+        let beyond = 0;
+        for (let t = 0; t < 4; t += 0.1) {{
+            player.scene.draw(t);
+            scene.updateMatrixWorld(true);
+            for (const {{ group }} of actors[0].shapes) for (const mesh of group.children) {{
+                const corners = mesh.geometry.attributes.position;
+                for (let k = 0; k < corners.count; ++k) {{
+                    const at = new THREE.Vector3().fromBufferAttribute(corners, k);
+                    at.applyMatrix4(mesh.matrixWorld).project(camera);
+                    beyond = Math.max(beyond, Math.abs(at.x), Math.abs(at.y));
+                }}
+            }}
+        }}
+        return [location.hash, beyond];
+    """
+    link, beyond = asked(path, code, tmp_path)
+    assert link == "#Omega=12.5"
+    assert 0.8 < beyond < 1  # half of the picture is 1
+
+
 def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
     pytest.importorskip("ziglang")
     path = animate(cosim.load("crank_shaft"), tmp_path / "x.html")
@@ -122,7 +150,8 @@ def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
         const facts = () => text("facts") + text("alarm");
         const cost = () => document.getElementById("cost").textContent;
         const csv = document.getElementById("csv"), found = [];
-        for (const link of ["#density=-1", "#density=3e4", "#nix=1", "#density="]) {{
+        for (const link of ["#density=-1", "#density=3e4", "#nix=1", "#density=", "#omega=Infinity",
+                            "#omega=1e200"]) {{
             location.hash = link;
             await new Promise((done) => setTimeout(done, 50));
             {FRAMES}
@@ -130,7 +159,7 @@ def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
         }}
         return found;
     """
-    impossible, possible, unknown, empty = asked(path, code, tmp_path)
+    impossible, possible, unknown, empty, infinite, huge = asked(path, code, tmp_path)
     assert "no run: " in impossible[0]
     assert "density" in impossible[0]
     assert impossible[2] is True
@@ -138,6 +167,9 @@ def test_page_tells_in_words_what_it_cannot_compute(tmp_path):
     assert possible[2] is False
     assert "the link sets 'nix', which this model does not have" in unknown[1]
     assert "the link sets density to '', which is no number" in empty[1]
+    assert "the link sets omega to 'Infinity', which is no number" in infinite[1]
+    assert "is not finite at time 0" in huge[0]
+    assert "nan" not in huge[0]  # `-nan` before
 
 
 def test_keys_work_after_a_click_on_a_button(tmp_path):

@@ -1,5 +1,6 @@
 """Figures: what is drawn, in which units, and how it reaches a file."""
 
+import io
 import subprocess
 import sys
 import zlib
@@ -8,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import cosim
 from cosim.api import execute
@@ -403,3 +405,19 @@ def test_curve_that_looks_like_zero_says_how_large_it_is(size, texts):
     keep_constant_flat(axis, size * np.array([0.0, 1.0, -1.0]), 20.0)
     assert axis.get_ylim() == (-20.0, 20.0)
     assert [text.get_text() for text in axis.texts] == texts
+
+
+@pytest.mark.parametrize(
+    ("meaning", "is_formula"),
+    [(r"costs $5_^ and $\frac", False), ("between $a and $b$", True), (r"angle $\alpha$", True)],
+)
+def test_text_of_a_model_that_is_no_formula_is_drawn_as_it_is_written(meaning, is_formula):
+    """A file of another tool may have dollar signs in its descriptions."""
+    model = cosim.Model("cash", stop_time=1.0)
+    x = model.state("x", "m", 1.0, meaning)
+    model.derivative(x, -x)
+    figure = cosim.simulate(model.freeze(), compiled=False).plot(["x"])
+    figure.savefig(io.BytesIO())  # an error of matplotlib before
+    texts = [text for text in figure.findobj(Text) if "$" in text.get_text()]
+    assert {text.get_parse_math() for text in texts} == {is_formula}
+    assert any(meaning in text.get_text() for text in texts)

@@ -26,9 +26,8 @@ SIZES = {
     "NB": 1,
     "LIMITS_OF_TIME": 1,
 }
-SIZES |= {"LAWS_ARG": 9, "LAWS_RES": 5, "LAWS_IW": 1, "LAWS_W": 1}
+SIZES |= {"WORK_ARG": 9, "WORK_RES": 5, "WORK_IW": 1, "WORK_W": 1}
 SIZES |= dict.fromkeys(("MODES", "EVENTS", "ASSIGNED", "DEFECTS", "BOUNDED", "ENCLOSED"), 1)
-SIZES |= dict.fromkeys(("START_ARG", "START_RES", "START_IW", "START_W"), 4)
 DEFINED = [f"-D{name}={size}" for name, size in SIZES.items()]
 # A file of the runtime alone, whose static functions may be defined in another one
 ALONE = ["-Wno-error", "-Werror=implicit-function-declaration", "-Werror=missing-prototypes"]
@@ -68,7 +67,7 @@ def test_a_header_of_the_master_compiles_with_sizes_and_the_solvers(header):
     [
         ("dop853.h", "NX"), ("fixed.h", "NX"), ("problem.h", "NC"), ("lanes.h", "LANES"),
         ("lanes_dop853.h", "NL"), ("lanes_outputs.h", "NY"), ("hybrid/laws.h", "MODES"),
-        ("lanes_start.h", "START_W"), ("lanes_limits.h", "NB"),
+        ("lanes_start.h", "WORK_W"), ("lanes_limits.h", "NB"),
     ],
 )  # fmt: skip
 def test_a_forgotten_size_is_an_error_and_no_default(header, missing):

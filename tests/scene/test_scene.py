@@ -186,6 +186,8 @@ def test_missing_file_in_a_folder_is_named(tmp_path):
     [
         pytest.param("stop_time = 2", "stop_tme = 2", UnknownName,
                      r"line 16: \[run\] has no key 'stop_tme'; did you mean stop_time", id="key"),
+        pytest.param('outputs = ["theta"', 'stop_time = 1\noutputs = ["theta"', UnknownName,
+                     r"line 3: stop_time belongs under \[run\]", id="time"),
         pytest.param("[start]", "[strt]", UnknownName,
                      r"line 9: a scene has no key 'strt'; did you mean start", id="table"),
         pytest.param('labels = ["angle", "torque"]', 'label = ["x"]', UnknownName,

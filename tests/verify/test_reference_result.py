@@ -121,9 +121,10 @@ def test_second_solver_computes_the_reference_if_the_first_fails(tmp_path, monke
 
 def test_reference_result_that_misses_its_bound_is_reported_with_a_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(reference_result, "BOUND", 1e-15)
-    with pytest.warns(UserWarning, match="try a tighter reference_tolerance"):
+    with pytest.warns(UserWarning, match="try a tighter reference_tolerance") as notes:
         path = export_with_reference(decay("missed"), tmp_path / "a.fmu")
     assert path.exists()
+    assert {str(note.message).count("DIFFER") for note in notes} == {1}
 
 
 def test_model_exchange_takes_as_many_steps_as_it_needs(tmp_path, monkeypatch):

@@ -151,7 +151,7 @@ enum { LOOKS = 4, MOST_CLOSER_LOOKS = 40 };
 /* Margins that are positive may reach 0 where their least is below this share of their largest. */
 static const double NEARLY_SHALLOW = 0.5;
 
-/* The times that divide a span into equal parts, without its begin. */
+/* The times that divide a span into equal parts, without its start. */
 static inline void places_within(double begin, double end, double times[]) {
     for (int k = 1; k < LOOKS; ++k) times[k - 1] = begin + (end - begin) * k / LOOKS;
     times[LOOKS - 1] = end;
@@ -192,7 +192,7 @@ static inline double closer_look(LookAt *look, void *motion, double begin, doubl
 }
 
 /* The first time in a span at which a margin is not positive; infinite if it is everywhere. It is
- * known at the begin, where it is positive, and at the LOOKS places of `places_within`. */
+ * known at the start, where it is positive, and at the LOOKS places of `places_within`. */
 static inline double first_outside(LookAt *look, void *motion, double begin, double end,
                                    const double known[]) {
     double t[LOOKS + 1];

@@ -3,41 +3,17 @@
 #ifndef HYBRID_SLIDING_H
 #define HYBRID_SLIDING_H
 
+#include "linear.h"
 #include "switching.h"
 
 static const double NOT_AFFINE = 1e-8; /* rate of an argument that should stay, relative */
 
-typedef double Rows[MODES + 1][MODES + 2];
-
-/* Solves n linear equations, the right side being the last column; false if they are singular. */
-static inline bool solve_linear(int n, Rows a) {
-    for (int c = 0; c < n; c++) {
-        int pivot = c;
-        for (int r = c + 1; r < n; r++)
-            if (fabs(a[r][c]) > fabs(a[pivot][c])) pivot = r;
-        if (!(fabs(a[pivot][c]) > 0)) return false;
-        for (int k = 0; k <= n; k++) {
-            const double swapped = a[c][k];
-            a[c][k] = a[pivot][k];
-            a[pivot][k] = swapped;
-        }
-        for (int r = 0; r < n; r++) {
-            if (r == c) continue;
-            const double share = a[r][c] / a[c][c];
-            for (int k = c; k <= n; k++) a[r][k] -= share * a[c][k];
-        }
-    }
-    for (int r = 0; r < n; r++) a[r][n] /= a[r][r];
-    return true;
-}
-
 /* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
  * arguments are affine in the modes: both sides tell how. A mode of exactly 0 is that of rest. */
 static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
-    double *modes = modes_of(at), sizes[MODES + 1];
+    double *modes = modes_of(at), sizes[MODES + 1], a[MODES * MODES + 1], b[MODES + 1];
     int which[MODES + 1], n = 0;
     Seen base, one;
-    Rows a;
     for (int i = 0; i < MODES; i++)
         if (s->state[i] == SLIDES) which[n++] = i;
     if (n == 0) return true;
@@ -45,20 +21,20 @@ static inline bool follow(const Laws *laws, const Switching *s, const Point *at)
     for (int k = 0; k < n; k++) modes[which[k]] = -1;
     if (!laws->see(laws->owner, at, &base)) return false;
     for (int k = 0; k < n; k++) {
-        a[k][n] = -base.rates[which[k]];
-        sizes[k] = fabs(a[k][n]);
+        b[k] = -base.rates[which[k]];
+        sizes[k] = fabs(b[k]);
     }
     for (int c = 0; c < n; c++) {
         modes[which[c]] = 1;
         if (!laws->see(laws->owner, at, &one)) return false;
         modes[which[c]] = -1;
         for (int r = 0; r < n; r++) {
-            a[r][c] = (one.rates[which[r]] - base.rates[which[r]]) / 2;
-            sizes[r] += fabs(a[r][c]);
+            a[r * n + c] = (one.rates[which[r]] - base.rates[which[r]]) / 2;
+            sizes[r] += fabs(a[r * n + c]);
         }
     }
-    if (!solve_linear(n, a)) return false;
-    for (int k = 0; k < n; k++) modes[which[k]] = a[k][n] == 1 ? DBL_MIN : a[k][n] - 1;
+    if (solve_dense(n, a, b)) return false;
+    for (int k = 0; k < n; k++) modes[which[k]] = b[k] == 1 ? DBL_MIN : b[k] - 1;
     if (!laws->see(laws->owner, at, &one)) return false;
     for (int k = 0; k < n; k++)
         if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;

@@ -247,7 +247,8 @@ def _reported(args: argparse.Namespace) -> int:
     except CosimError as error:
         if args.debug:
             raise
-        print(f"{type(error).__name__}: {visible(str(error), lines=True)}", file=sys.stderr)
+        text = visible(_as_typed(str(error), args), lines=True)
+        print(f"{type(error).__name__}: {text}", file=sys.stderr)
         return error.exit_code
     except Exception as error:
         if isinstance(error.__cause__, KeyboardInterrupt):  # as Python 3.11 raises of __set_name__
@@ -260,6 +261,16 @@ def _reported(args: argparse.Namespace) -> int:
         failed = f"cosim {args.verb} failed with {described(error)}; show where with: --debug"
         print(failed, file=sys.stderr)
         return 1
+
+
+def _as_typed(text: str, args: argparse.Namespace) -> str:
+    """Return a message with the options of the command instead of the keywords of Python."""
+    typed = {}
+    for action in command_line().verbs()[args.verb]._actions:
+        name = action.option_strings[-1] if action.option_strings else ""
+        if "-" in name[2:] and getattr(args, action.dest, None) not in (None, action.default):
+            typed[name[2:].replace("-", "_")] = name
+    return re.sub(r"(?<![\w'(.])[a-z]+(_[a-z]+)+(?![\w'(])", lambda m: typed.get(m[0], m[0]), text)
 
 
 def _discard_output() -> None:

@@ -16,6 +16,7 @@ from cosim.api import execute, run_scene
 from cosim.backend import Backend
 from cosim.cli.arguments import (
     TIMES,
+    assigned,
     inputs_in,
     names_in,
     numbers_in,
@@ -42,6 +43,7 @@ from cosim.scene.scene import Scene
 from cosim.scene.variants import variant
 from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
+from cosim.text import MOST_NAMES, shortened
 from cosim.trajectory import Trajectory
 
 _OF_MODELS = (
@@ -75,7 +77,7 @@ def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:
     if undriven:
         note(
             args,
-            f"note: {system.name}: nothing drives {', '.join(undriven)}; connect "
+            f"note: {system.name}: nothing drives {shortened(undriven, MOST_NAMES)}; connect "
             f"{'it' if len(undriven) == 1 else 'them'}, give a value, or declare open_inputs",
         )
 
@@ -264,3 +266,21 @@ def size_of(args: argparse.Namespace) -> tuple[float, float]:
     if not cross:
         raise ParameterError(f"--size {args.size}: write WIDTHxHEIGHT in inches, e.g. 6.4x4.8")
     return quantity("--size", width, "1"), quantity("--size", height, "1")
+
+
+def read_measured(args: argparse.Namespace, path: str, like: Trajectory | None) -> Trajectory:
+    """Read a CSV file of measurements with the options of a command line.
+
+    Args:
+        args: The command line.
+        path: The file.
+        like: A run whose units and meanings apply to variables of the same names.
+    """
+    columns = dict(assigned("--column", args.columns, "HEADER"))
+    return Trajectory.read_csv(
+        path,
+        columns=columns or None,
+        time=args.time_column,
+        time_offset=args.time_offset,
+        like=like,
+    )

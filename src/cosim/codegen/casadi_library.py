@@ -165,6 +165,17 @@ def generated(name: str, *functions: ca.Function) -> str:
     return str(generator.dump())
 
 
+_WORK = re.compile(r"\*sz_(arg|res|iw|w) = (\d+);")
+
+
+def work_sizes(code: str) -> str:
+    """Return definitions of the work space that is enough for each function in CasADi's code."""
+    most = dict.fromkeys(("arg", "res", "iw", "w"), 0)
+    for kind, size in _WORK.findall(code):
+        most[kind] = max(most[kind], int(size))
+    return "".join(f"#define WORK_{kind.upper()} {size}\n" for kind, size in most.items())
+
+
 def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:
     """Return the key of a compiled function in the cache; the same key means the same code."""
     digest = hashlib.sha256(b"\0".join((function.serialize().encode(), *more))).hexdigest()

@@ -24,12 +24,14 @@ class Changes(NamedTuple):
         parts: Begin and end of each, in order.
         low, high: Range of the function, as far as it is known.
         unknown: Begins of the cells in which it may be no line, although they were halved.
+        pinched: Those of cells as narrow as rounding in which it may leave its value and return.
     """
 
     parts: list[tuple[float, float]]
     low: float
     high: float
     unknown: Vector
+    pinched: Vector = np.empty(0)
 
     @property
     def is_whole(self) -> bool:
@@ -49,13 +51,28 @@ Bounds = Callable[[Vector, Vector], Vector]  # begins and widths of cells -> dis
 def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vector) -> list[Vector]:
     """Return where a function bends within cells, by samples where bounds do not tell: edges.
 
+    Where it leaves its value for less than rounding, there is one edge.
+
     Args:
         values, bounds, edges: See `changing_parts`; bounds are None if there are none.
         knots: Values of the variable at which the function has samples of its own.
     """
     changes = unseen(edges) if bounds is None else changing_parts(values, bounds, edges)
     sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes)
-    return apart(sorted({*changes.parts, *sampled}))
+    found = list(changes.pinched[:, None])
+    for own in apart(sorted({*changes.parts, *sampled})):
+        if np.ptp(own) > _ROUNDINGS * np.spacing(np.abs(own).max()):
+            found.append(own)
+        elif _returns(values, own, float(np.ptp(values(own)))):
+            found.append(own[:1])
+    return found
+
+
+def _returns(values: Values, edges: Vector, size: float) -> bool:
+    """Return whether a function has one value, but for a small part of a size, beyond edges."""
+    first, last = edges[[0, -1]]
+    room = max(_ROUNDINGS * np.spacing(np.abs(edges).max()), last - first)
+    return bool(np.ptp(values(np.array([first - room, last + room]))) <= _STRAIGHT * size)
 
 
 def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
@@ -72,7 +89,8 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         return unseen(edges)
     low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
     begins, widths = edges[:-1], np.diff(edges)
-    least, halved = widths * 2.0**-_DEEPEST, np.zeros(len(widths), dtype=bool)
+    least = np.maximum(widths * 2.0**-_DEEPEST, np.spacing(np.abs(edges[1:])))
+    halved = np.zeros(len(widths), dtype=bool)
     off = _off(bounds, begins, widths)
     for _ in range(_MOST_ROUNDS):
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
@@ -91,9 +109,13 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
     unknown = begins[~line]
+    deep = ~line & (widths <= least) & np.isfinite(off[~line]).all()  # what is near a pole is none
+    cells = zip(begins[deep].tolist(), (begins + widths)[deep].tolist(), strict=True)
+    pinched = [own[0] for own in apart(sorted(cells)) if _returns(values, own, high - low)]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
-    return Changes(_changing(values, begins, begins + widths, high - low), low, high, unknown)
+    parts = _changing(values, begins, begins + widths, high - low)
+    return Changes(parts, low, high, unknown, np.array(pinched))
 
 
 def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:
@@ -185,5 +207,4 @@ def parted(t: Vector, values: Vector, size: float) -> Vector:
     first, last = np.interp([_ENDS, change[-1] - _ENDS], change, t)
     way = change + np.clip((t - first) / max(last - first, np.spacing(last)), 0, 1)
     begin, end = np.interp([first, last], t, way)
-    ends: Vector = np.interp(np.linspace(begin, end, int((end - begin) * _PARTS) + 2), way, t)
-    return ends
+    return np.interp(np.linspace(begin, end, int((end - begin) * _PARTS) + 2), way, t)

@@ -6,7 +6,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated, sources_beside
+from cosim.codegen.casadi_library import cache_key, generated, sources_beside, work_sizes
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
 from cosim.codegen.hybrid_laws import law_functions, law_sizes, law_tables
@@ -39,8 +39,7 @@ class LawText(NamedTuple):
 
 NO_LAWS = LawText(
     [],
-    "".join(f"#define {name} 0\n" for name in _SIZES)
-    + "".join(f"#define LAWS_{name} 1\n" for name in ("ARG", "RES", "IW", "W")),
+    "".join(f"#define {name} 0\n" for name in _SIZES),
     "static const ModelLaws model_laws = {0};\n",
 )  # of a smooth model
 
@@ -59,13 +58,9 @@ def law_text(system: Hybrid, inputs: ca.Function | None = None) -> LawText:
         laws = system.blended()
         functions = [algebraic_function(laws.dae), *law_functions(laws)]
         functions = [dense(f) for f in (*functions, *([] if inputs is None else [inputs]))]
-    sizes = law_sizes(system)
-    for size in ("arg", "res", "iw", "w"):
-        most = max((getattr(f, f"sz_{size}")() for f in functions), default=0)
-        sizes[f"LAWS_{size.upper()}"] = most + 1
     return LawText(
         functions,
-        "".join(f"#define {name} {size}\n" for name, size in sizes.items()),
+        "".join(f"#define {name} {size}\n" for name, size in law_sizes(system).items()),
         f"{law_tables(system, functions)}static const ModelLaws model_laws = MODEL_LAWS;\n",
     )
 
@@ -84,7 +79,8 @@ def kernel_library(system: Hybrid) -> str:
     after = solver_source("instants.h") + text.tables
 
     def generate() -> str:
-        return f"{before}{generated('laws', *text.functions)}\n{after}"
+        code = generated("laws", *text.functions)
+        return f"{before}{work_sizes(code)}{code}\n{after}"
 
     key = cache_key("kernel", text.functions[0], text.digest, after.encode())
     return str(cached_library(key, generate, sources_beside(*text.functions)))

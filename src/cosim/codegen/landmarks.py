@@ -6,7 +6,7 @@ events starts anew at these places, with steps from one to the next.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -18,6 +18,7 @@ from casadi_models.dae.expressions import at_irregular_place, column
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
+    in_waves,
     inner_terms,
     inner_terms_of_several,
 )
@@ -25,10 +26,13 @@ from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
     FLAT,
+    Changes,
+    Values,
     apart,
     changes_between,
     changing_parts,
     parted,
+    unseen,
     with_surroundings,
 )
 from cosim.memo import cached_per_thread
@@ -38,6 +42,7 @@ _ANYWHERE = 1e20  # of the others meanwhile: as if they had no end, but for thei
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
 _INNER = 64  # samples of a part of a change
+_NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step sees
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
 _SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
@@ -77,12 +82,14 @@ class _Change:
         places: Values of its variable there.
         is_step: Whether a step over all of them sees a change.
         is_whole: Whether `places` are all of them, and not a selection.
+        is_wave: Whether the variable moves to and fro as what moves it goes on.
     """
 
     term: InnerTerm
     places: Vector
     is_step: bool
     is_whole: bool = True
+    is_wave: bool = False
 
 
 @cached_per_thread(16)
@@ -93,55 +100,73 @@ def landmarks(dae: Dae) -> Landmarks:
         dae: The model, with frozen relations.
     """
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
-    every_change, unknown = list[_Change](), set[int]()
-    for term in inner_terms(dae):
-        knots = knots_of(term)
-        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
-        if term.tables and of_tables and not len(knots):
-            unknown.update(term.movers)
-        every_change += _changes(dae, term, knots, p)
-    others = (v.name for v in (*dae.algebraics, *dae.inputs))
-    names, found = [*(state.name for state in dae.states), "time", *others], list[str]()
+    names = [*(state.name for state in dae.states), "time"]
+    names += [v.name for v in (*dae.algebraics, *dae.inputs)]
+    every_change, unknown = _changes_of_one(dae, p)
     passed = [names[moving] for moving in sorted(unknown)]
     for several in inner_terms_of_several(dae):
         across = _changes_of_several(dae, several, p)
         if across is None and not several.is_inverse:
             passed.append(", ".join(names[i] for term in several.each for i in term.movers))
         every_change += across or []
-    changes = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
-    for change in every_change:  # one that has different factors in two equations is one
-        key = change.term.variable.element_hash(), change.places.tobytes()
-        changes.setdefault(_direction(dae, change.term), {}).setdefault(key, change)
-    rows, times, given = list[SX](), [np.empty(0)], set[str]()
-    for own in changes.values():
-        movers = next(iter(own.values())).term.movers
-        steps = sum(change.is_step for change in own.values())
-        needed = [change for change in own.values() if not change.is_step or steps > 1]
+    rows, times, moving, given = list[SX](), [np.empty(0)], list[str](), set[str]()
+    for changes in _by_direction(dae, every_change):
+        movers = changes[0].term.movers
+        steps = sum(change.is_step for change in changes)
+        needed = [change for change in changes if not change.is_step or steps > 1]
         name = ", ".join(names[i] for i in movers)
-        found += [name] if needed else []
+        if needed:
+            moving.append(name)
+        is_whole = all(change.is_whole for change in needed)
         if movers == (len(dae.states),):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
-            times += [way_of(dae, change.term, change.places, p) for change in fixed]
-            given.update(
-                v.name
-                for c in fixed
-                for v in _depends(dae, ca.vertcat(c.term.variable, c.term.value))
-            )
             needed = [change for change in needed if change not in fixed]
-        if len(movers) == 1:
+            for change in fixed:
+                term = change.term
+                times.append(way_of(dae, term, change.places, p))
+                given.update(v.name for v in _depends(dae, ca.vertcat(term.variable, term.value)))
+        if len(movers) == 1 and not any(change.is_wave for change in needed):
             needed = _without_repeated(dae, needed, p)
         many = sum(len(change.places) for change in needed) > _MOST
-        if many or not all(change.is_whole for change in needed):
+        if many or not is_whole:
             passed.append(name)
         if not many:
             rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
             given.update(dae.parameters[i].name for c in needed for i in c.term.given)
     arguments = column(rows)
-    followed = [v.name for v in _depends(dae, arguments)]
-    every = np.unique(np.concatenate(times))
     return Landmarks(
-        arguments, every, tuple(found), tuple(followed), tuple(sorted(given)), tuple(passed)
+        arguments=arguments,
+        times=np.unique(np.concatenate(times)),
+        moving=tuple(moving),
+        followed=tuple(v.name for v in _depends(dae, arguments)),
+        given=tuple(sorted(given)),
+        passed=tuple(passed),
     )
+
+
+def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
+    """Return where terms of one variable change, and the places of those in tables without knots.
+
+    A place counts states, time, algebraic unknowns and inputs.
+    """
+    found, unknown = list[_Change](), set[int]()
+    for term in inner_terms(dae):
+        knots = knots_of(term)
+        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
+        if term.tables and of_tables and not len(knots):
+            unknown.update(term.movers)
+        found += _changes(dae, term, knots, p) or _changes_in_waves(dae, term, p)
+    return found, unknown
+
+
+def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
+    """Return changes in groups of one direction; one with two factors in the equations is one."""
+    groups = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
+    for change in changes:
+        key = change.term.variable.element_hash(), change.places.tobytes()
+        direction = key[:1] if change.is_wave else _direction(dae, change.term)
+        groups.setdefault(direction, {}).setdefault(key, change)
+    return [[*group.values()] for group in groups.values()]
 
 
 def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:
@@ -172,6 +197,61 @@ def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
 
 
 def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Change]:
+    reach = np.array([-_FARTHEST, _FARTHEST])
+    values, found = _bent(dae, term, knots, p, reach)
+    changes = list[_Change]()
+    for edges in apart(found.parts):
+        at = with_surroundings(edges, _INNER)
+        seen = values(at)
+        step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
+        changes.append(_change(term, at, seen, found, bool(step)))
+    if len(found.pinched):  # narrower than the search goes
+        changes.append(_Change(term, found.pinched, is_step=False, is_whole=False))
+    return changes
+
+
+def _changes_in_waves(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+    """Return where a term changes in small parts of a wave in it, such as exp(-99 sin(x)**2)."""
+    if len(dae.states) in term.movers:  # of time: its places are known before the run
+        return []
+    for own in in_waves(dae, term):
+        reach = _reach(dae, own, p)
+        if not np.abs(reach).max() < _FARTHEST:
+            continue
+        values, found = _bent(dae, own, np.empty(0), p, reach)
+        changes = list[_Change]()
+        for edges in apart(found.parts):
+            at = np.clip(with_surroundings(edges, _INNER), *reach)
+            seen = values(at)
+            first, last = np.arcsin(np.interp(edges[[0, -1]], reach, [-1, 1])) / np.pi
+            is_step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
+            share = min(0.5 - first, last + 0.5) if is_step else last - first
+            if share <= _NARROW:
+                change = _change(own, at, seen, found, False)
+                inside = (reach[0] < change.places) & (change.places < reach[1])
+                changes.append(replace(change, places=change.places[inside], is_wave=True))
+        if changes:
+            return changes
+    return []
+
+
+def _reach(dae: Dae, term: InnerTerm, p: Vector) -> Vector:
+    """Return the least and the greatest value of the variable of a term."""
+    moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
+    ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
+    bounds = bounds_within(term.variable, moving, ends, dae.p)
+    if bounds is None:
+        return np.array([-np.inf, np.inf])
+    far = np.full(moving.numel(), _ANYWHERE)
+    return np.array(
+        ca.Function("reach", [*ends, dae.p], [ca.vertcat(*bounds)])(-far, far, p)
+    ).ravel()
+
+
+def _bent(
+    dae: Dae, term: InnerTerm, knots: Vector, p: Vector, reach: Vector
+) -> tuple[Values, Changes]:
+    """Return a term as a function of its variable, and where it bends within a reach."""
     length, symbol = SX.sym("length"), term.symbol
     value = ca.Function("value", [symbol, dae.p], [term.value], {"cse": True})
 
@@ -181,27 +261,25 @@ def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Chang
     bounds = bounds_along(term.value, symbol, [dae.p], length)
     if bounds is not None:
         off = ca.Function("beyond", [symbol, length, dae.p], list(bounds), {"cse": True})
-        edges = np.array([-_FARTHEST, _FARTHEST])
 
         def beyond(begins: Vector, widths: Vector) -> Vector:
             return np.fmin(*(np.array(o).ravel() for o in off(begins[None], widths[None], p)))
 
-        found = changing_parts(values, beyond, edges)
+        found = changing_parts(values, beyond, reach)
     elif len(knots) > 1:
         found = changes_between(values, knots)
     else:
-        return []
-    if not found.is_whole:
-        return []
-    changes = list[_Change]()
-    for edges in apart(found.parts):
-        at = with_surroundings(edges, _INNER)
-        seen = values(at)
-        places = parted(at, seen, found.high - found.low)
-        some = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
-        step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
-        changes.append(_Change(term, some, bool(step), len(some) == len(places)))
-    return changes
+        found = unseen(reach)
+    if not (found.is_whole or len(found.pinched)):
+        found = unseen(reach)
+    return values, found
+
+
+def _change(term: InnerTerm, at: Vector, seen: Vector, found: Changes, is_step: bool) -> _Change:
+    """Return where a term changes in a part, from its values there."""
+    places = parted(at, seen, found.high - found.low)
+    some = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
+    return _Change(term, some, is_step, len(some) == len(places))
 
 
 @cached_per_thread(16)
@@ -227,7 +305,7 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends, dae.p)
     if within is None:
-        return []
+        return None
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
     def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:

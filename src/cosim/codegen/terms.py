@@ -93,6 +93,8 @@ def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float = 
     for i in range(len(terms.bounded)):
         values = terms.value(i, p)
         for edges in bent_parts(values, terms.off(i, p), cells, np.empty(0)):
+            if len(edges) == 1:  # no solver can see what is shorter than rounding
+                continue
             t = with_surroundings(edges, _INNER)
             seen = values(t)
             found.append(parted(t, seen, float(np.ptp(seen))))

@@ -2,13 +2,14 @@
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from cosim.coupling.couple import couple_within
 from cosim.coupling.ssp.reader import identifier, read_ssp
 from cosim.coupling.system import System
-from cosim.errors import UsageError
+from cosim.errors import CosimError, UsageError
 from cosim.files import is_file
 from cosim.model.values import number
 from cosim.toml_file import read_toml, texts, typed
@@ -16,7 +17,6 @@ from cosim.trajectory import Trajectory
 
 _TABLES = ("parts", "connections", "start_values", "abilities")
 _KEYS = ("title", "stop_time", "output_interval", "open_inputs", *_TABLES)
-_PARTS = re.compile(r"^\ufeff?\s*\[\s*parts\s*\]", re.MULTILINE)  # after a byte order mark, too
 _VARIANT = re.compile(r"(.*\.ssp)#([^#/]+)", re.DOTALL)
 
 
@@ -28,9 +28,10 @@ def is_system(path: str | os.PathLike[str]) -> bool:
     file = Path(path)
     if file.suffix == ".ssp" or _VARIANT.fullmatch(str(path)):
         return True
-    if file.suffix != ".toml" or not is_file(file):
-        return False
-    return _PARTS.search(file.read_text("utf-8", errors="replace")) is not None
+    if file.suffix == ".toml" and is_file(file):
+        with suppress(CosimError):  # raised again where the file is read
+            return "parts" in read_toml(file).data
+    return False
 
 
 def read_system(path: str | os.PathLike[str]) -> System:

@@ -34,6 +34,7 @@ from cosim.integrate.modes import hybrid
 from cosim.model.request import choice
 from cosim.model.times import time_grid
 from cosim.model.values import listed, number, plain_values
+from cosim.text import MOST_NAMES, shortened
 from cosim.trajectory import Trajectory
 
 
@@ -49,7 +50,7 @@ class System:
         start_values: By part and variable, in the variable's unit.
         stop_time, output_interval: s; those of the parts when None.
         title: One line.
-        start_time: Begin of its runs, s.
+        start_time: Start of its runs, s.
         open_inputs: Inputs that are declared to keep their start value, by part and variable.
         connectors: Names of the whole system for variables of its parts, as an SSP file has them.
         places: What messages say for the temporary folders of files within a file.
@@ -98,8 +99,9 @@ class System:
         for wire in self.connections:
             lines.append(f"  {'.'.join(wire.output)} -> {'.'.join(wire.input)}")
         lines += [f"  {connector}" for connector in self.connectors.values()]
-        if self.undriven_inputs:
-            lines.append(f"  driven by nothing: {', '.join(self.undriven_inputs)}")
+        if undriven := self.undriven_inputs:
+            count = f"{len(undriven)} inputs: " if len(undriven) > MOST_NAMES else ""
+            lines.append(f"  driven by nothing: {count}{shortened(undriven, MOST_NAMES)}")
         return "\n".join(lines)
 
     @property

@@ -19,6 +19,7 @@ from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
 from cosim.drawing.rotation import to_matrices
+from cosim.plotting import Picture
 
 SIZE = (6.4, 4.8)  # of a picture, inches
 _PALE = 0.72  # share of white in the colors of ghosts
@@ -211,7 +212,7 @@ def draw_pose(
 
 def canvas(size: tuple[float, float]) -> tuple[Figure, Axes]:
     """Return a figure that is filled by one pair of axes."""
-    figure = Figure(figsize=size, facecolor="white")
+    figure = Picture(figsize=size, facecolor="white")
     return figure, figure.add_axes((0, 0, 1, 1))
 
 

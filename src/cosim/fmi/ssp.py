@@ -140,11 +140,10 @@ def write_ssp(
     described = {name: _described(path) for name, (path, _) in pairs.items()}
     defined = _defined_units(description for description, _ in described.values())
     ends = [_ends(described, pair) for pair in connections]
-    given = [(_side(described, key, None), value) for key, value in (values or {}).items()]
+    given = {_side(described, key, None): value for key, value in (values or {}).items()}
     for key in open_inputs:
         component, entry = _side(described, key, "input")
-        if (component, entry) not in dict(given):
-            given.append(((component, entry), start_number(described[component][1][entry])))
+        given.setdefault((component, entry), start_number(described[component][1][entry]))
     changes = {
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
@@ -153,7 +152,7 @@ def write_ssp(
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for component, (description, variables) in described.items():
-        own = {entry: value for (owner, entry), value in given if owner == component}
+        own = {entry: value for (owner, entry), value in given.items() if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
         element = _component(component, description, units, pairs[component][1])
         if own:
@@ -164,15 +163,7 @@ def write_ssp(
             element.append(_binding(chosen, file))
         elements.append(element)
     joints = ET.SubElement(system, f"{{{SSD}}}Connections")
-    for (source, output), (sink, entry) in ends:
-        begins = {"startElement": source, "startConnector": output}
-        ends_at = {"endElement": sink, "endConnector": entry}
-        joint = ET.SubElement(joints, f"{{{SSD}}}Connection", begins | ends_at)
-        if (sink, entry) in changes:
-            factor, offset = map(shortest, changes[sink, entry])
-            joint.set("suppressUnitConversion", "true")
-            linear = {"factor": factor, "offset": offset}
-            ET.SubElement(joint, f"{{{SSC}}}LinearTransformation", linear)
+    joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
     if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
         root.append(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
@@ -181,6 +172,21 @@ def write_ssp(
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
     fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, (path, _) in pairs.items()}
     return write_atomically(target, zipped({SYSTEM_DESCRIPTION: to_file(root), **files, **fmus}))
+
+
+def _connection(
+    source: tuple[str, str], sink: tuple[str, str], change: tuple[float, float] | None
+) -> ET.Element:
+    """Return the connection of an output with an input, with factor and offset between them."""
+    begins = {"startElement": source[0], "startConnector": source[1]}
+    ends = {"endElement": sink[0], "endConnector": sink[1]}
+    joint = ET.Element(f"{{{SSD}}}Connection", begins | ends)
+    if change:
+        factor, offset = map(shortest, change)
+        joint.set("suppressUnitConversion", "true")
+        linear = {"factor": factor, "offset": offset}
+        ET.SubElement(joint, f"{{{SSC}}}LinearTransformation", linear)
+    return joint
 
 
 def _defined_units(files: Iterable[Any]) -> dict[str, Unit]:

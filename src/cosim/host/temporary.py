@@ -75,7 +75,7 @@ def leftovers(place: Path, prefix: str) -> list["os.DirEntry[str]"]:
 
     Args:
         place: The folder.
-        prefix: Begin of the names, which go on with a `process_mark` and a hyphen.
+        prefix: Start of the names, which go on with a `process_mark` and a hyphen.
     """
     with suppress(OSError), os.scandir(place) as entries:
         return [e for e in entries if e.name.startswith(prefix) and _is_left(e, prefix)]

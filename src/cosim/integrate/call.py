@@ -176,15 +176,27 @@ def call(
         interrupt_noticed()
         reason = INTERRUPTED
     elif reason:
-        last = messages.getvalue().strip().rpartition("\n")[2].rstrip(". ")
-        text, origin = f"{reason} ({last})" if last else reason, {"t": begin, "h": 0.0}
-        text = _TIME.sub(lambda m: f"{m[1]} = {origin[m[1]] + unit * float(m[2]):g}", text)
-        reason = Ending(text, reason.kind)
+        reason = _with_cause(reason, messages.getvalue(), begin, unit)
     elif len(states) < n and crossing is None:
         reason = Ending("a state is not finite")
     transposed = states.T, algebraics.T
     watched = engine.watches and left is not None
     return Reached(*transposed, counts, reason, solve_time, crossing, watched, events)
+
+
+def _with_cause(reason: Ending, printed: str, begin: float, unit: float) -> Ending:
+    """Return why a run has failed with the last line that SUNDIALS printed, in times of the run.
+
+    Args:
+        reason: Why, in the engine's own time.
+        printed: All that SUNDIALS printed.
+        begin: Of the run, s.
+        unit: Of the engine's own time, s.
+    """
+    last = printed.strip().rpartition("\n")[2].rstrip(". ")
+    text, origin = f"{reason} ({last})" if last else reason, {"t": begin, "h": 0.0}
+    text = _TIME.sub(lambda m: f"{m[1]} = {origin[m[1]] + unit * float(m[2]):g}", text)
+    return Ending(text, reason.kind)
 
 
 def finite_rows(rows: Vector) -> int:

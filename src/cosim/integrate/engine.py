@@ -195,8 +195,7 @@ class Engine:
     @cached_property
     def buffer(self) -> EngineBuffer:
         """Buffer of the function: one for all calls, so that counts are read from its memory."""
-        buffer: EngineBuffer = self.functions.function.buffer()
-        return buffer
+        return self.functions.function.buffer()
 
 
 class Integrating(Protocol):

@@ -211,7 +211,7 @@ def growing_starts(
         dae: A model without algebraic unknowns.
         starts: Initial and nominal values of the states, inputs, parameters: (runs, nx) twice,
             (runs, nu), (runs, np).
-        span: Begin of the runs, how long each is a line, (runs,), and their end, s.
+        span: Start of the runs, how long each is a line, (runs,), and their end, s.
         absolute: Absolute tolerance, in nominal values.
     """
     x, sizes, u, p = (rows.T for rows in starts)

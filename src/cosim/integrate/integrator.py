@@ -5,7 +5,7 @@ of its Jacobian, in which the model is integrated together with its derivatives 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 from warnings import warn
 
@@ -127,7 +127,7 @@ def _chained(slopes: MX, before: tuple[MX, MX, MX], k: int) -> tuple[MX, MX, MX]
 
 
 def _compiled(problem: Problem, solver: Solver) -> ca.Function:
-    """Return `interval(x, z, p, u, begin, end) -> (x, dz at the begin, S, dz)` as compiled code.
+    """Return `interval(x, z, p, u, begin, end) -> (x, dz at the start, S, dz)` as compiled code.
 
     See `variational_rhs`: S are derivatives of x, dz those of z.
     """
@@ -177,7 +177,7 @@ def _arguments(dae: Dae) -> list[MX]:
 
 
 def _start(dae: Dae, x: MX) -> MX:
-    """Return x and its derivatives at the begin of an interval, stacked."""
+    """Return x and its derivatives at the start of an interval, stacked."""
     nx, nq = dae.x.numel(), directions(dae)
     return ca.vertcat(x, ca.vec(ca.horzcat(ca.DM.eye(nx), ca.DM.zeros(nx, nq - nx))))
 
@@ -227,28 +227,42 @@ class _Called(ca.Callback):
         return self.compute(x.ravel(), p.ravel(), u)
 
 
-def _hybrid_function(
-    dae: Dae, times: Vector, solver: Solver, compiled: bool, derivatives: bool
-) -> ca.Function:
-    """Return a function like that of `integrator`, for a model with events; z0 has no effect."""
-    n, sizes = len(times), [dae.x.numel(), dae.z.numel(), dae.p.numel(), dae.u.numel()]
-    grid = times_between(dae, times)
+@dataclass(frozen=True)
+class _HybridRuns:
+    """Runs of a model with events over output times, s, (n,), by a solver."""
 
-    def run(x: Vector, p: Vector, u: Vector, model: Dae = dae) -> list[Vector]:
+    dae: Dae
+    times: Vector
+    solver: Solver
+    compiled: bool
+
+    def ends(self, x: Vector, p: Vector, u: Vector, model: Dae | None = None) -> list[Vector]:
+        """Return states and algebraic unknowns at the output times, (nx, n) and (nz, n).
+
+        Args:
+            x: Start values, (nx,).
+            p: Parameters.
+            u: Inputs, one column for each interval that ends at an output time, (nu, n).
+            model: Runs in place of `dae`, with the same events.
+
+        Raises:
+            SolverError: A run fails, or ends before the last time.
+        """
+        dae, times, grid = model or self.dae, self.times, times_between(self.dae, self.times)
         held, inputs = u[:, 1:], None
         changes = 1 + np.flatnonzero((np.diff(held) != 0).any(axis=0))
         if len(changes):
             begins = np.append(0, changes)
             time = np.append(np.repeat(times[begins], 2)[1:], times[-1])
-            names = tuple(variable.name for variable in model.inputs)
+            names = tuple(variable.name for variable in dae.inputs)
             inputs = InputSeries(names, time, np.repeat(held[:, begins], 2, axis=1).T)
         values = Values(x, p, held[:, 0])
-        start = InitialState(x, algebraic_values(model, grid[0], x, values), values)
-        problem = Problem(model, grid.tobytes(), inputs, compiled, sensitivities=False)
-        found = integrate(problem, solver, start)
+        start = InitialState(x, algebraic_values(dae, grid[0], x, values), values)
+        problem = Problem(dae, grid.tobytes(), inputs, self.compiled, sensitivities=False)
+        found = integrate(problem, self.solver, start)
         if found.reason or (found.stop and found.time[-1] < grid[-1]):
             reason = found.reason or f"'{found.stop}' ends it at {found.time[-1]:g} s"
-            raise SolverError(f"{dae.full_name}: a run to {grid[-1]:g} s fails: {reason}")
+            raise SolverError(f"{self.dae.full_name}: a run to {grid[-1]:g} s fails: {reason}")
         rows = np.searchsorted(found.time, times)
         for k, i in zip(changes, rows[changes], strict=True):  # at the end of the interval before
             values = Values(x, p, np.append(held[:, k - 1], found.u[len(held) :, i]))
@@ -256,31 +270,42 @@ def _hybrid_function(
             found.algebraics[:, i] = z
         return [found.states[:, rows], found.algebraics[:, rows]]
 
-    def slopes(x: Vector, p: Vector, u: Vector) -> list[Vector]:
+    def slopes(self, x: Vector, p: Vector, u: Vector) -> list[Vector]:
+        """Return the derivatives of `ends` by x, the unknowns, p and u, block by block."""
+        dae, n = self.dae, len(self.times)
+        nx, nz = dae.x.numel(), dae.z.numel()
         own = np.concatenate((x, p, u.T.ravel()))
         nominal = [v.nominal for v in (*dae.states, *dae.parameters, *dae.inputs * n)]
         columns = list[Vector]()
         for along in np.diag(np.maximum(np.abs(own), nominal)):  # far above absolute tolerances
             by_x, by_p, by_u = np.split(along, np.cumsum([len(x), len(p)]))
             moved = np.concatenate((u, by_u.reshape(n, -1).T))
-            found = run(np.append(x, by_x), np.append(p, by_p), moved, _variational(dae))
-            ends = [a[k:].T.ravel() for a, k in zip(found, sizes, strict=False)]
-            columns.append(np.concatenate(ends) / along.sum())
+            both = np.append(x, by_x), np.append(p, by_p)
+            states, unknowns = self.ends(*both, moved, _variational(dae))
+            rates = np.concatenate((states[nx:].T.ravel(), unknowns[nz:].T.ravel()))
+            columns.append(rates / along.sum())
         blocks = list[Vector]()
         for rows in np.split(np.transpose(columns), [n * len(x)]):
             by_x, by_p, by_u = np.split(rows, np.cumsum([len(x), len(p)]), axis=1)
-            blocks += [by_x, np.zeros((len(rows), sizes[1])), by_p, by_u]
+            blocks += [by_x, np.zeros((len(rows), nz)), by_p, by_u]
         return blocks
 
+
+def _hybrid_function(
+    dae: Dae, times: Vector, solver: Solver, compiled: bool, derivatives: bool
+) -> ca.Function:
+    """Return a function like that of `integrator`, for a model with events; z0 has no effect."""
+    runs = _HybridRuns(dae, times, solver, compiled)
+    n, nx, nz = len(times), dae.x.numel(), dae.z.numel()
     names, results = ["x0", "z0", "p", "u"], ["xf", "zf"]
-    inner = [(k, n if name == "u" else 1) for name, k in zip(names, sizes, strict=True)]
-    outer, options = [(k, n) for k in sizes[:2]], dict[str, Any]()
+    inner = [(nx, 1), (nz, 1), (dae.p.numel(), 1), (dae.u.numel(), n)]
+    outer, options = [(nx, n), (nz, n)], dict[str, Any]()
     given = [MX.sym(name, *shape) for name, shape in zip(names, inner, strict=True)]
     if derivatives:
-        blocks = [(k * n, rows * columns) for k in sizes[:2] for rows, columns in inner]
-        jacobian = _Called("jac_integrator", [*inner, *outer], blocks, slopes)
+        blocks = [(k * n, rows * columns) for k in (nx, nz) for rows, columns in inner]
+        jacobian = _Called("jac_integrator", [*inner, *outer], blocks, runs.slopes)
         options = {"custom_jacobian": jacobian, **_BY_JACOBIAN}
-    found = _Called("run", inner, outer, run).call(given)
+    found = _Called("run", inner, outer, runs.ends).call(given)
     return ca.Function("integrator", given, found, names, results, options)
 
 
@@ -299,7 +324,7 @@ def integrator(
 
     Args:
         dae: The model.
-        grid: Increasing output times, s, (n,); the first is the begin of the run.
+        grid: Increasing output times, s, (n,); the first is the start of the run.
         solver, relative_tolerance, absolute_tolerance: See `simulate`.
         compiled: Whether the equations are compiled; small models are when None.
         step_size: Largest step of a solver with fixed steps, s; the model's output interval when

@@ -139,7 +139,7 @@ class Piece:
         Args:
             t: s.
             x, z: The row.
-            solved: Modes of the relations that slide; as at the begin if None.
+            solved: Modes of the relations that slide; as at the start if None.
         """
         slid, modes = self.own.sliding, self.begin.modes.copy()
         if solved is not None:
@@ -298,8 +298,7 @@ def cubics(t: Vector, x: Vector, f: Vector, shares: Vector) -> Vector:
     r = 1 - s
     x, f = x[:, None], f[:, None]
     ends = x[:-1] + s * s * (1 + 2 * r) * np.diff(x, axis=0)  # exact where values are equal
-    found: Vector = ends + h * s * r * (r * f[:-1] - s * f[1:])
-    return found
+    return ends + h * s * r * (r * f[:-1] - s * f[1:])
 
 
 def located(piece: Piece, *, closely: bool = True) -> Located | None:

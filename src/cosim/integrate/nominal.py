@@ -244,7 +244,7 @@ def scaled_call(
 def in_own_time(
     problem: Problem, solver: Solver, *, in_pieces: bool
 ) -> tuple[Problem, Solver, tuple[float, ...]]:
-    """Return a problem over times from 0 to 1, its solver, and its begin and length, s.
+    """Return a problem over times from 0 to 1, its solver, and its start and length, s.
 
     Pieces of a run whose lengths differ by rounding are then equal problems, with one engine; and
     no step is rounded as a late time is. The last item is empty, and nothing changes, where an

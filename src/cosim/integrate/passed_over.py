@@ -37,6 +37,7 @@ _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
+_MOST_ENDS = 1_000  # of steps in a place
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,11 @@ class Place:
     def end(self) -> float:
         """Its last time, s."""
         return float(self.edges[-1])
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether it is narrower than rounding."""
+        return len(self.edges) == 1
 
     @property
     def times(self) -> Vector:
@@ -82,9 +88,11 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     rows, ends, places = rows_between(plain, grid), np.empty(0), list[Place]()
     motion = attempt(np.union1d(grid, rows), ends) if len(rows) else plain
     passed = list[Place]()
-    settled = list[Place]()
+    settled, narrow = list[Place](), list[Place]()
     for _ in range(_MOST_ROUNDS):
-        new = _apart(_found(dae, motion, p, steps), places)
+        found = _apart(_found(dae, motion, p, steps), places)
+        new = [place for place in found if not place.is_narrow]
+        narrow = [place for place in found if place.is_narrow] or narrow
         if motion.reason or not (passed or new):
             break
         places += new
@@ -93,7 +101,9 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
         divided = [_divided(motion, place, p, ends) for place in passed]
-        ends = _inside(grid, [ends, *divided])
+        fewer, ends = ends, _inside(grid, [ends, *divided])
+        if passed and not new and len(ends) == len(fewer):
+            break
         before, motion = motion, attempt(np.union1d(grid, rows), ends)
         least = _EFFECT * tolerance * _sizes(motion)
         settled += [place for place in passed if _is_settled(before, motion, place, least)]
@@ -113,6 +123,8 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     complete = not searched.reason and motion.reason != INTERRUPTED
     if places and complete and not _agree(searched, motion, grid, least):
         motion = searched  # whose rows let the solver see what it otherwise passes over
+    if narrow and not passed:
+        return replace(motion, note=f"{_passing(narrow[0])}, which is shorter than rounding")
     if not passed:
         return _with_note_on_unbounded(dae, motion)
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
@@ -207,11 +219,11 @@ def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
     return bool(same) and len(one.events) == len(other.events)
 
 
-def _with_note_on_unbounded(dae: Dae, motion: Motion) -> Motion:
+def _with_note_on_unbounded(dae: Dae, motion: Motion, remedy: str = "max_step") -> Motion:
     terms = several_terms_of(dae)
     if terms is None or not terms.unbounded:
         return motion
-    text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set max_step"
+    text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set {remedy}"
     return replace(motion, note=text)
 
 
@@ -222,7 +234,7 @@ def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
     steps = _counted(motion)
     found = _found(motion.dae, motion, p, steps) if _has_terms(motion.dae) else []
     if not found:
-        return motion
+        return _with_note_on_unbounded(motion.dae, motion, "a smaller step_size")
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
 
 
@@ -313,19 +325,22 @@ def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
         edges: Values, ascending.
 
     Returns:
-        For each time that it is, the times at which it begins, is at one of the values, and ends.
+        For each time that it is, the times at which it begins, is at one of the values, and ends;
+        for each time that it is at the only value, this.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (edges[:, None] - x[:-1]) / np.diff(x)
     _, rows = within = np.nonzero((shares >= 0) & (shares <= 1))
     at = np.unique([t[0], *(t[rows] + shares[within] * np.diff(t)[rows]), t[-1]])
+    if len(edges) == 1:
+        return list(np.unique(t[rows] + shares[within] * np.diff(t)[rows])[:, None])
     middles = np.interp((at[:-1] + at[1:]) / 2, t, x)
     inside = (edges[0] < middles) & (middles < edges[-1])
     return apart(list(zip(at[:-1][inside].tolist(), at[1:][inside].tolist(), strict=True)))
 
 
 def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
-    """Return whether the states in a place do not change as the integral of their rates tells.
+    """Return whether the states in a place do not change as the integrals of their rates tell.
 
     Args:
         motion: With rows at the times of the place.
@@ -344,9 +359,9 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
             continue
         t, x = motion.time[at], motion.states[:, at]
         rates = rates_at(motion, at, p)
-        fine, coarse = _simpson(t, rates), _simpson(t[::2], rates[:, ::2])
-        off = np.abs(x[:, -1] - x[:, 0] - fine)
-        if (off > np.maximum(least, _CERTAIN * np.abs(fine - coarse))).any():
+        fine, coarse = _simpson(t, rates)[:, 1::2], _simpson(t[::2], rates[:, ::2])
+        off = np.abs(x[:, 4::4] - x[:, :1] - fine)
+        if (off > np.maximum(least[:, None], _CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
 
@@ -361,17 +376,19 @@ def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> b
 
 
 def _simpson(t: Vector, rows: Vector) -> Vector:
-    """Return the integrals of rows over pairs of intervals that need not be equal."""
+    """Return the integrals of rows up to every second time; intervals need not be equal."""
     a, b = np.diff(t)[::2], np.diff(t)[1::2]
     weights = 2 - b / a, (a + b) ** 2 / (a * b), 2 - a / b
     parts = (w * rows[:, i : i + 2 * len(a) : 2] for i, w in enumerate(weights))
-    return np.asarray((sum(parts) * (a + b) / 6).sum(axis=1))
+    return np.asarray((sum(parts) * (a + b) / 6).cumsum(axis=1))
 
 
 def _divided(motion: Motion, place: Place, p: Vector, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
+    known: Vector = ends[(t[0] <= ends) & (ends <= t[-1])]
+    if len(known) > _MOST_ENDS:
+        return known
     values = place.values(Path.of(motion, p).at(t))
-    known = ends[(t[0] <= ends) & (ends <= t[-1])]
     middles = (known[:-1] + known[1:]) / 2  # those at the ends were too few
     return np.union1d(parted(t, values, float(np.ptp(values))), middles)

@@ -304,7 +304,7 @@ def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: in
 def singular_configurations(
     dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
 ) -> Iterator[SingularConfiguration]:
-    """Yield the singular configurations of a run in their order; of an interval, its begin.
+    """Yield the singular configurations of a run in their order; of an interval, its start.
 
     Args:
         dae: The model.

@@ -39,6 +39,7 @@ _REMEDIES = {  # by what a text that is no formula contains
     r"\bif\b|\?": _CHOOSE,
     r"&&|\|\|": _LOGIC,
     r"(?<![=<>!])=(?!=)": "write <, > or, for discrete variables, == between two values",
+    r"\.[*/^]": "write *, / and ^ without a point",
     r"(?<!\w)[\d.]+\s*[A-Za-z(]": "write * between factors, as in 2*sin(t)",
 }
 _OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step", "heaviside")

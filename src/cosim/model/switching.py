@@ -22,7 +22,7 @@ _MOST_PARTS = 1 << 16  # for which bounds do not tell; more are halved no furthe
 def switch_times(dae: Dae, begin: float, end: float) -> Vector:
     """Return when relations switch, s, ascending.
 
-    If there are relations, the first time is the begin: the value there may differ from the limit.
+    If there are relations, the first time is the start: the value there may differ from the limit.
 
     Args:
         dae: A model whose equations depend on time alone.

@@ -106,7 +106,7 @@ class Times:
     """Output times of a run: a span with an interval, or explicit times.
 
     Attributes:
-        start: Begin of the run, s.
+        start: Start of the run, s.
         stop: End of the run, s. None: the model's own span after `start`, or the last of `own`.
         interval: Distance of the output times, s; the model's own when None.
         own: Explicit output times, s, as the bytes of an array of doubles; see `at`.

@@ -87,20 +87,29 @@ def shared_specs(
             gone.append(f"figure '{spec.title}' (over {spec.x})")
             continue
         gone += [name for panel in spec.panels for name in panel if name not in common]
-        found = [[i for i, name in enumerate(panel) if name in common] for panel in spec.panels]
-        rows = [(k, places) for k, places in enumerate(found) if places]
-        if rows:
-            panels, legends = (
-                tuple(tuple(texts[k][i] for i in places) for k, places in rows) if texts else ()
-                for texts in (spec.panels, spec.legends)
-            )
-            labels = tuple(spec.labels[k] for k, _ in rows) if spec.labels else ()
-            shared.append(replace(spec, panels=panels, labels=labels, legends=legends))
+        remaining = _limited(spec, common)
+        if remaining.panels:
+            shared.append(remaining)
     if not shared:
         models = " and ".join(dict.fromkeys(run.model for run in runs))
         raise UsageError(f"{models}: these runs have no variable in common that could be drawn")
     names = ", ".join(dict.fromkeys(gone))
     return tuple(shared), (f"not drawn, as not every run has it: {names}",) if gone else ()
+
+
+def _limited(spec: FigureSpec, names: Collection[str]) -> FigureSpec:
+    """Return a figure with those of its curves alone that have some names."""
+    panels, labels, legends = [], [], []
+    for k, panel in enumerate(spec.panels):
+        places = [i for i, name in enumerate(panel) if name in names]
+        if not places:
+            continue
+        panels.append(tuple(panel[i] for i in places))
+        if spec.labels:
+            labels.append(spec.labels[k])
+        if spec.legends:
+            legends.append(tuple(spec.legends[k][i] for i in places))
+    return replace(spec, panels=tuple(panels), labels=tuple(labels), legends=tuple(legends))
 
 
 def draw_overlay(

@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from casadi_models.extreme_cases import Case
 from cosim.colors import CURVES, MARKERS, solver_look
 from cosim.colors import OUTCOMES as OUTCOME_COLORS
 from cosim.integrate.solvers import SOLVERS
@@ -153,6 +155,8 @@ def draw_map(findings: Sequence[CaseFinding]) -> Figure:
 def _family_panel(axis: Axes, family: str, findings: Sequence[CaseFinding]) -> None:
     label, places = _places(findings)
     rows, points = sorted({row for row, _ in places}), list(dict.fromkeys(p for _, p in places))
+    with suppress(ValueError):  # of texts that are no numbers
+        points.sort(key=float)
     for finding, (row, point) in zip(findings, places, strict=True):
         x, y, outcome = points.index(point), rows.index(row), finding.verdict.outcome
         axis.plot(x, y, "s", color=LOOKS[outcome], markersize=9, markeredgewidth=0)
@@ -174,21 +178,45 @@ def _places(findings: Sequence[CaseFinding]) -> tuple[str, list[tuple[str, str]]
     A row is a formulation and a solver, with the parameter if there are several.
     """
     cases = [finding.case for finding in findings]
-    names = [case.name.removesuffix(f", {case.solver}") for case in cases]
-    parts = [m.groups("") if (m := _VALUE.fullmatch(n)) else ("", "", n, "") for n in names]
+    values = [_Extreme.of(case) for case in cases]
     several = len({case.model.partition("/")[0] for case in cases}) > 1
-    models = [c.model if several else c.model.rpartition("/")[2] for c in cases]
-    runners = [", ".join(filter(None, (m, c.solver))) for m, c in zip(models, cases, strict=True)]
-    pairs = {(runner, part[0]) for runner, part in zip(runners, parts, strict=True)}
-    ambiguous = [sum(runner == known for known, _ in pairs) > 1 for runner in runners]
-    parameters, units = ({part[i] for part in parts} - {""} for i in (0, 3))
-    places = [
-        (f"{runner}, {p}" if more else runner, number + unit * (len(units) > 1))
-        for runner, (p, _, text, unit), more in zip(runners, parts, ambiguous, strict=True)
-        for number in [re.sub(r"e\+?(-?)0+(?=\d)", r"e\1", text)]
-    ]
-    label = [*parameters] * (len(parameters) == 1) + ["factor"] * (parts[0][1] == " x ")
-    return " ".join(label + [f"[{unit.strip()}]" for unit in units if len(units) == 1]), places
+    runners = list[str]()
+    for case in cases:
+        model = case.model if several else case.model.rpartition("/")[2]
+        runners.append(f"{model}, {case.solver}" if case.solver else model)
+    parameters_of: dict[str, set[str]] = {}
+    for runner, value in zip(runners, values, strict=True):
+        parameters_of.setdefault(runner, set()).add(value.parameter)
+    units = {value.unit for value in values} - {""}
+    places = list[tuple[str, str]]()
+    for runner, value in zip(runners, values, strict=True):
+        row = f"{runner}, {value.parameter}" if len(parameters_of[runner]) > 1 else runner
+        places.append((row, value.number + value.unit if len(units) > 1 else value.number))
+    parameters = {value.parameter for value in values} - {""}
+    label = [*parameters] if len(parameters) == 1 else []
+    if values[0].is_factor:
+        label.append("factor")
+    if len(units) == 1:
+        label.append(f"[{units.pop().strip()}]")
+    return " ".join(label), places
+
+
+class _Extreme(NamedTuple):
+    """The extreme value in the name of a case; a name without a number is all text."""
+
+    parameter: str
+    is_factor: bool
+    number: str
+    unit: str
+
+    @classmethod
+    def of(cls, case: Case) -> "_Extreme":
+        """Read the name of a case; powers of ten lose their zeros."""
+        name = case.name.removesuffix(f", {case.solver}")
+        found = _VALUE.fullmatch(name)
+        parameter, separator, number, unit = found.groups("") if found else ("", "", name, "")
+        short = re.sub(r"e\+?(-?)0+(?=\d)", r"e\1", number)
+        return cls(parameter, separator == " x ", short, unit)
 
 
 _DIVERGED = 10.0  # error of a co-simulation in nominal values

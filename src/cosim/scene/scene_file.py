@@ -117,6 +117,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         system = read_system(place)
         return Scene(system.name, RunRequest(system.dae), system.title)
     file = read_toml(place)
+    for key in {*file.data} & {*_RUN_KEYS}:
+        raise UnknownName(f"{file.at(key)}: {key} belongs under [run]")
     file.reject_unknown((), file.data, _KEYS)
     model = _model_name(file)
     with file.naming("model"):

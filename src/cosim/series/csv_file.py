@@ -93,23 +93,7 @@ def read_samples(
         Times, s, (n,); variables; their values, SI, (n, variables), NaN in gaps; the numbers of
         the lines.
     """
-    rows = _with_decimal_points(rows_of(path))
-    cells = [cell.strip() for cell in rows[0][1]]
-    header = [_named(cell) for cell in cells]
-    if len(header) < 2 or any(_is_number(cell) for cell in cells):
-        raise UsageError(f"{path}, line {rows[0][0]}: no header; write 'time,NAME,...' there")
-    if headers is None and not all(name for name, _ in header):
-        raise UsageError(f"{path}, line {rows[0][0]}: a column has no name; give each one a name")
-    names, written = [name for name, _ in header], [unit for _, unit in header]
-    body = rows[1:]
-    second = [cell for cell in body[0][1] if cell.strip() != "1"] if body else []  # 1 is a unit
-    if any(map(str.strip, second)) and not any(map(_is_number, second)):
-        line, second = body[0]
-        numbers_of(path, line, ["" for _ in second], names, [])  # rejects another number of cells
-        units_line = [cell.strip() or own for cell, own in zip(second, written, strict=True)]
-        written, body = units_line, body[1:]
-    if not body:
-        raise UsageError(f"{path}: there is no sample below the header; give one line or more")
+    cells, names, written, body = _parts(path, named=headers is not None)
     at = _place_of_time(path, cells, names, time)
     chosen = [(name, i) for i, name in enumerate(names) if i != at]
     if headers is not None:
@@ -124,17 +108,56 @@ def read_samples(
     table = np.array([numbers_of(path, line, row, names, places, words) for line, row in body])
     _, in_file, target = _column(path, "time", units.get("time", written[at]), Column("time", "s"))
     times = converted(table[:, 0], in_file, target)
+    lines = [line for line, _ in body]
     for wrong, problem in (
         (np.isnan(times), "the time is missing; fill it in"),
         (np.diff(times, prepend=times[0]) < 0, "time decreases; sort the lines by time"),
     ):
         if wrong.any():
-            raise ParameterError(f"{path}, line {body[int(np.argmax(wrong))][0]}: {problem}")
+            raise ParameterError(f"{path}, line {lines[int(np.argmax(wrong))]}: {problem}")
     found = [_column(path, n, units.get(n, written[i]), known.get(n)) for n, i in chosen]
     values = table[:, 1:]
     for own, (_, in_file, target) in zip(values.T, found, strict=True):
         own[:] = converted(own, in_file, target)
-    return times, tuple(column for column, *_ in found), values, [line for line, _ in body]
+    return times, tuple(column for column, *_ in found), values, lines
+
+
+_Line = tuple[int, list[str]]  # its number, and its cells
+
+
+def _parts(
+    path: Path, *, named: bool
+) -> tuple[list[str], list[str], list[str | None], list[_Line]]:
+    """Divide a CSV file into its header and the samples below.
+
+    Args:
+        path: The file.
+        named: Whether columns are named by their headers; else each must have a name.
+
+    Returns:
+        The header; the names in it; the units, which may have a line of their own; the samples.
+    """
+    head, *body = _with_decimal_points(rows_of(path))
+    place, cells = f"{path}, line {head[0]}", [cell.strip() for cell in head[1]]
+    if len(cells) < 2 or any(_is_number(cell) for cell in cells):
+        raise UsageError(f"{place}: no header; write 'time,NAME,...' there")
+    header = [_named(cell) for cell in cells]
+    names, units = [name for name, _ in header], [unit for _, unit in header]
+    if not named and not all(names):
+        raise UsageError(f"{place}: a column has no name; give each one a name")
+    if body and _are_units(body[0][1]):
+        line, own = body.pop(0)
+        numbers_of(path, line, ["" for _ in own], names, [])  # rejects another number of cells
+        units = [cell.strip() or unit for cell, unit in zip(own, units, strict=True)]
+    if not body:
+        raise UsageError(f"{path}: there is no sample below the header; give one line or more")
+    return cells, names, units, body
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Tell whether the line below a header holds units: texts, and 1, which is a unit."""
+    texts = [cell for cell in cells if cell.strip() != "1"]
+    return any(map(str.strip, texts)) and not any(map(_is_number, texts))
 
 
 def _named(cell: str) -> tuple[str, str | None]:

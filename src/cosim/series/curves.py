@@ -287,8 +287,7 @@ def first_crossing(time: Vector, heights: Vector) -> Vector:
 def _times(begins: Vector, ends: Vector, at: Vector) -> Vector:
     """Return times of places -1 ... 1 of each panel, (panels, places)."""
     middle, half = (begins + ends) / 2, (ends - begins) / 2
-    times: Vector = middle[:, None] + half[:, None] * at
-    return times
+    return middle[:, None] + half[:, None] * at
 
 
 def _tail(fits: Vector) -> Vector:

@@ -59,13 +59,11 @@ class Group:
 
     def get(self) -> int:
         """Read the values into the buffer."""
-        status: int = self._get(*self._arguments)
-        return status
+        return self._get(*self._arguments)
 
     def set(self) -> int:
         """Set the values of the buffer."""
-        status: int = self._set(*self._arguments)
-        return status
+        return self._set(*self._arguments)
 
 
 class PreparedCalls:

@@ -160,8 +160,7 @@ class Session(Life):
 
         Models and FMUs that were exported here tell it, other FMUs do not.
         """
-        found: str | None = min(self._instance.violations, key=attrgetter("time"), default=None)
-        return found
+        return min(self._instance.violations, key=attrgetter("time"), default=None)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs.
@@ -221,7 +220,7 @@ class Session(Life):
         """Set inputs, or parameters that may change during a run.
 
         Results that are read next are on the sides that these values require, as of a limit in an
-        output; events happen at the begin of the next step.
+        output; events happen at the start of the next step.
 
         Args:
             values: Values by name, or of all `inputs` in their order, (n,).

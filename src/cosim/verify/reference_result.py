@@ -106,7 +106,8 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
     checks = [*_result_checks(local, run, tolerance, BOUND, simulate_fmu, doubt)]
     for check in checks:
         if check.verdict is not Verdict.OK:
-            problem = f"{check.verdict}: {check.comparison}; {_TRY}"
+            coarse = f"{check.verdict}: " if check.verdict is Verdict.COARSE else ""
+            problem = f"{coarse}{check.comparison}; {_TRY}"
             if check.failure:
                 problem = f"{check.failure}; the FMU is written without this comparison"
             warn(f"{target}: {check.backend}: {problem}", stacklevel=3)

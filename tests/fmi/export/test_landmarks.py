@@ -352,3 +352,72 @@ def test_slopes_of_a_bump_share_its_places():
     assert shared[0] <= own[0]
     assert shared[-1] >= own[-1]
     assert np.diff(shared).max() <= 2 * np.diff(own).max()
+
+
+WAVES = {  # of an angle: the form, with the starts of its parameters
+    "cam": lambda a, k, place: ca.exp(k * (ca.cos(a - place) - 1)),
+    "crank": lambda a, k, place: ca.exp(-k * (ca.sin(a) - ca.sin(place)) ** 2),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", WAVES)
+def test_no_importer_steps_over_what_repeats_in_each_turn(shape, tmp_path):
+    a, y, p = SX.sym("a"), SX.sym("y"), SX.sym("p", 2)
+    laws = {"x": ca.vertcat(a, y), "ode": ca.vertcat(5, WAVES[shape](a, p[0], p[1]) - y), "p": p}
+    starts = {"p_1": 1e5, "p_2": 0.4}
+    dae = cosim.from_casadi(laws, starts, name="turns", stop_time=7, output_interval=0.5)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    for k, place in ((1e5, 0.4), (1e4, 0.9)):
+        at = np.array([place] if shape == "cam" else [place, np.pi - place])
+        slope = 1.0 if shape == "cam" else np.sqrt(2) * np.cos(place)
+        times = (at[:, None] + 2 * np.pi * np.arange(6)) / 5
+        pushes = np.where(times < 7, np.exp(np.minimum(times, 7) - 7), 0)
+        right = np.sqrt(2 * np.pi / k) / slope / 5 * pushes.sum()
+        values = {"p_1": k, "p_2": place}
+        runs = [
+            cosim.simulate_fmu(path, interface=i, start_values=values)["y"][-1] for i in INTERFACES
+        ]
+        np.testing.assert_allclose(runs, right, rtol=1e-3)  # before: 0
+        many = cosim.simulate_many(dae, {"p_1": [k, k], "p_2": place})["y"][:, -1]
+        np.testing.assert_allclose(many, right, rtol=1e-3)  # of the crank, before: 0
+
+
+@pytest.mark.slow
+def test_no_importer_steps_over_a_table_whose_argument_is_limited(tmp_path):
+    knots = np.linspace(-1, 1, 401)
+    rows = HEIGHT * np.exp(-((knots / 0.02) ** 2))
+    table = ca.interpolant("table", "linear", [knots], rows)
+    dae = on_road(lambda s, place: table(ca.fmin(ca.fmax(s - place, -1), 1)), ca.MX, place=PLACE)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    for place in (PLACE, 33.3):
+        right = after_an_impulse(np.trapezoid(rows, knots), place)
+        moved = heights(path, start_values={"place": place})
+        np.testing.assert_allclose(moved, right, rtol=1e-2)  # before: 0
+
+
+@pytest.mark.slow
+def test_a_table_of_time_that_mostly_rests_at_zero_is_no_law_of_proportion(tmp_path):
+    knots = np.linspace(0, 10, 501)
+    table = ca.interpolant("table", "linear", [knots], 1.0 * (np.arange(501) == 166))
+    t, y = ca.MX.sym("t"), ca.MX.sym("y")
+    laws = {"t": t, "x": y, "ode": table(t) - 0.2 * y}
+    dae = cosim.from_casadi(laws, name="hat", stop_time=7, output_interval=0.5)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    right = 0.02 * np.exp(-0.2 * (7 - knots[166]))
+    for interface in INTERFACES:  # before: an error in co-simulation
+        run = cosim.simulate_fmu(path, interface=interface)
+        np.testing.assert_allclose(run["y"][-1], right, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_an_export_names_what_an_importer_may_step_over(tmp_path):
+    knots, x = np.linspace(0, 100, 11), ca.MX.sym("x", 3)
+    table = ca.interpolant("ground", "linear", [knots, knots], np.zeros(121))
+    laws = {"x": x, "ode": ca.vertcat(1, 2, table(x[:2]))}
+    with pytest.warns(UserWarning, match="terms of x_1, x_2 change in places"):  # before: none
+        cosim.export_fmu(cosim.from_casadi(laws, name="ground", stop_time=1), tmp_path / "x.fmu")
+    t, y = SX.sym("t"), SX.sym("y")
+    laws = {"t": t, "x": y, "ode": ca.exp(-(((t - 5.3) / 1e-17) ** 2))}
+    with pytest.warns(UserWarning, match="terms of time change in places"):  # before: none
+        cosim.export_fmu(cosim.from_casadi(laws, name="brief", stop_time=7), tmp_path / "y.fmu")

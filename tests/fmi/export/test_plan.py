@@ -1,7 +1,8 @@
 """The plan of an FMU: which files of the package it contains, and why."""
 
 import pytest
-from helpers.small_models import decay
+from helpers.event_models import everything
+from helpers.small_models import decay, growing
 
 from cosim.codegen.c_sources import runtime_sources, solver_sources
 from cosim.fmi.export.options import FmuOptions
@@ -31,3 +32,9 @@ def test_an_fmu_has_one_solver_and_no_files_of_events_without_events(solver, has
     assert ("dop853.h" in plan.headers) is (solver == "dop853")
     assert "modes.c" not in plan.runtime
     assert "laws.h" not in plan.headers
+
+
+@pytest.mark.parametrize("model", [everything(), growing()])
+def test_a_second_plan_of_a_model_computes_no_equations(model):
+    one, other = (planned(model, FmuOptions()) for _ in range(2))
+    assert one.laws is other.laws

@@ -200,10 +200,10 @@ static int rhs(const double **arg, double **res, long long *iw, double *w, int m
     if (res[1]) res[1][0] = arg[1][0];
     return 0;
 }
-static int rhs_work(long long *a, long long *r, long long *i, long long *w) {
-    *a = 5; *r = 2; *i = 0; *w = 0;
-    return 0;
-}
+#define WORK_ARG 5
+#define WORK_RES 2
+#define WORK_IW 0
+#define WORK_W 0
 #define NX 1
 #define NZ 1
 #define NU 1
@@ -216,10 +216,6 @@ static int project(const double **arg, double **res, long long *iw, double *w, i
     (void)iw; (void)w; (void)mem;
     res[0][0] = arg[0][0];
     res[1][0] = 0;
-    return 0;
-}
-static int project_work(long long *a, long long *r, long long *i, long long *w) {
-    *a = 2; *r = 2; *i = 0; *w = 0;
     return 0;
 }
 """

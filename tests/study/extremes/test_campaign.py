@@ -199,11 +199,11 @@ def test_map_labels_values_and_solvers():
         )
     ]
     (axis,) = draw_map(findings).get_axes()
-    assert [label.get_text() for label in axis.get_xticklabels()] == ["1", "1e-9"]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["1e-9", "1"]
     assert axis.get_xlabel() == "omega [rad/s]"
     assert [label.get_text() for label in axis.get_yticklabels()] == ["x, erk", "x, idas"]
     places = [tuple(int(c[0]) for c in line.get_data()) for line in axis.lines]
-    assert places == [(0, 0), (1, 0), (1, 1)]
+    assert places == [(1, 0), (0, 0), (0, 1)]
     assert [text.get_text() for text in axis.texts] == ["f", "S"]  # readable without color
 
 

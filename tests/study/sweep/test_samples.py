@@ -51,6 +51,13 @@ def test_a_design_by_name_is_the_one_of_its_function():
         chosen_samples(ranges, None, "sobol")
 
 
+def test_number_of_sobol_samples_that_is_no_power_of_2_names_the_next_ones():
+    with pytest.warns(UserWarning, match="sobol") as notes:
+        assert len(design("sobol", 100, {"m": (0.0, 1.0)})) == 100
+    (note,) = notes  # of SciPy there is none
+    assert str(note.message) == "sweep: 100 sobol samples are unevenly spread; give 64 or 128"
+
+
 @pytest.mark.parametrize("kind", ["sobol", "lhs", "halton", "random"])
 def test_a_design_fills_its_ranges_and_repeats_with_its_seed(kind):
     pytest.importorskip("scipy")

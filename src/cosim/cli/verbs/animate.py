@@ -11,13 +11,18 @@ from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
 from cosim.model.catalogue import load
 from cosim.model.driving import with_tables
-from cosim.present.playback.animate import animate, animation_format, guessed_model
+from cosim.present.playback.animate import (
+    animate,
+    animation_format,
+    guessed_model,
+    reject_missing,
+)
 from cosim.trajectory import Trajectory
 
 
 def run(args: argparse.Namespace) -> int:
     """Show runs in three dimensions."""
-    animation_format(args.output_file)  # rejects it before anything is computed
+    reject_missing(animation_format(args.output_file), live=args.live)
     at = None if args.poses is None else numbers_in("--at", args.poses)
     size = size_of(args)
     tables = [name for name in args.sources if name.endswith(".csv")]

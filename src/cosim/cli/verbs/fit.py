@@ -6,8 +6,7 @@ from functools import partial
 from typing import Any
 
 from cosim.cli.arguments import assigned, named_scene, names_in, start_numbers, value_in, value_of
-from cosim.cli.measured import read_measured
-from cosim.cli.runs import model_columns
+from cosim.cli.runs import model_columns, read_measured
 from cosim.cli.tables import note, show_table
 from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart

@@ -5,8 +5,7 @@ import argparse
 from matplotlib.figure import Figure
 
 from cosim.cli.arguments import names_in
-from cosim.cli.measured import read_measured
-from cosim.cli.runs import runs_of, size_of
+from cosim.cli.runs import read_measured, runs_of, size_of
 from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
 from cosim.plotting import picture_format, require_screen, save, show

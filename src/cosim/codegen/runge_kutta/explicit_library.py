@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated, sources_beside
+from cosim.codegen.casadi_library import cache_key, generated, sources_beside, work_sizes
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
 from cosim.codegen.kernel_library import NO_LAWS, LawText
@@ -71,7 +71,8 @@ def explicit_library(
     after = _solver_text(method, project, watch, laws)
 
     def generate() -> str:
-        return f"{before}{generated('equations', rhs, *others, *laws.functions)}\n{after}"
+        code = generated("equations", rhs, *others, *laws.functions)
+        return f"{before}{work_sizes(code)}{code}\n{after}"
 
     details = "".join((before, after, *(f.serialize() for f in (*others, *laws.functions))))
     key = cache_key(f"explicit {name}", rhs, details.encode())
@@ -136,8 +137,7 @@ def _solver_text(
     """Return the code around the generated functions."""
     others = {"project": project, "watch": watch}
     own = ["rhs", *(name if function else "NULL" for name, function in others.items())]
-    works = (name if name == "NULL" else f"{name}_work" for name in own)
-    calls = ", ".join((*own, *works, f"integrate_{method.steps}"))
+    calls = ", ".join((*own, f"integrate_{method.steps}"))
     blocks = ["block.h"] if watch and method.steps == "adaptive" else []
     parts = (
         solver_source(f"{method.steps}.h", "external.h", *blocks),

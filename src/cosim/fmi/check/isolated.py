@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -74,39 +74,48 @@ class TrialResults:
         self, lines: list[dict[str, Any]], tasks: list[_TrialTask], code: int | None, timeout: float
     ) -> list[_TrialTask]:
         """Add the answer of a child process; return the trials that are still to be made."""
-        left, stopped, failed, own = list(tasks), None, set(), 0.0
+        left, running, failed = list(tasks), None, set[str]()
+        began = 0.0
         for line in lines:
             if begun := line.get("begun"):
-                stopped, own = (begun[0], begun[1]), monotonic() - begun[2]
-                left.remove(stopped)
+                running, began = (begun[0], begun[1]), begun[2]
+                left.remove(running)
                 continue
-            assert stopped is not None
-            found = [Finding(**one) for one in line["findings"]]
-            known = {(f.place, f.found): f.rule for f in self.findings if f.importers == FAILED}
-            same = next((known[key] for f in found if (key := (f.place, f.found)) in known), "")
-            note = "".join(f": {note}" for note in line["notes"])
-            if not same:
-                self.findings += found
-            if reason := line["skipped"] or (same and f"it fails like {same}"):
-                self.skipped.append(f"{_called(stopped)}: {reason}")
-            elif not found:
-                self.passed.append(_called(stopped) + note)
-            if found and stopped[0] == TRIALS[0].__name__:
-                failed.add(stopped[1])
-            stopped = None
-        if stopped is not None and code is None and (own < timeout / 2 or stopped[0] in NO_CODE):
-            self.skipped.append(f"{_called(stopped)}: the time is up; --timeout gives more")
-        elif stopped is not None:
-            crash = TRIAL_RULES["crash"]
-            rule = replace(crash, level=ADVICE) if stopped[0] in OPTIONAL else crash
-            how = f"did not return within {own:.3g} s" if code is None else how_it_ended(code)
-            self.findings.append(rule.at(_called(stopped), f"the FMU {how}"))
-            failed.update({stopped[1]} if stopped[0] == TRIALS[0].__name__ else ())
+            assert running is not None
+            if self._take(running, line) and running[0] == TRIALS[0].__name__:
+                failed.add(running[1])
+            running = None
+        if running is not None and self._stopped(running, code, monotonic() - began, timeout):
+            failed.update({running[1]} if running[0] == TRIALS[0].__name__ else ())
         return [task for task in left if task[1] not in failed]  # who does not start, does nothing
+
+    def _take(self, task: _TrialTask, answer: Mapping[str, Any]) -> bool:
+        """Add the answer of a trial; return whether it found anything."""
+        found = [Finding(**one) for one in answer["findings"]]
+        known = {(f.place, f.found): f.rule for f in self.findings if f.importers == FAILED}
+        same = next((known[key] for f in found if (key := (f.place, f.found)) in known), "")
+        if not same:
+            self.findings += found
+        if reason := answer["skipped"] or (same and f"it fails like {same}"):
+            self.skipped.append(f"{_called(task)}: {reason}")
+        elif not found:
+            self.passed.append(_called(task) + "".join(f": {note}" for note in answer["notes"]))
+        return bool(found)
+
+    def _stopped(self, task: _TrialTask, code: int | None, own: float, timeout: float) -> bool:
+        """Add a trial without an answer, after a time, s; return whether its FMU is to blame."""
+        if code is None and (own < timeout / 2 or task[0] in NO_CODE):
+            self.skipped.append(f"{_called(task)}: the time is up; --timeout gives more")
+            return False
+        crash = TRIAL_RULES["crash"]
+        rule = replace(crash, level=ADVICE) if task[0] in OPTIONAL else crash
+        how = f"did not return within {own:.3g} s" if code is None else how_it_ended(code)
+        self.findings.append(rule.at(_called(task), f"the FMU {how}"))
+        return True
 
 
 def try_apart(
-    path: str | os.PathLike[str], *, timeout: float = 120.0, trials: Sequence[Trial] = TRIALS
+    path: str | os.PathLike[str], *, timeout: float, trials: Sequence[Trial] = TRIALS
 ) -> TrialResults:
     """Run the trials of an FMU in a child process with the limits of `chosen_limits`.
 
@@ -120,7 +129,7 @@ def try_apart(
     timeout = time_limit_from(str(path), timeout)
     chosen_limits()
     with own_folder() as folder, unpacked(path) as files:
-        bench = Bench(files, str(path))
+        bench = Bench(files, str(path), timeout)
         try:
             offered = bench.described.interfaces
         except ValueError as error:

@@ -8,6 +8,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
+from cosim.codegen.casadi_library import work_sizes
 from cosim.codegen.fmu.equations import bounded_limits, generated_code
 from cosim.codegen.fmu.solver import most_trials, of_fixed_steps
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
@@ -21,8 +22,8 @@ from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.text import violated
 
 
-def model_header(plan: Plan, guid: str) -> str:
-    """Return `model.h`: sizes and names for compiling the runtime."""
+def model_header(plan: Plan, guid: str, equations: str) -> str:
+    """Return `model.h`: sizes and names for compiling the runtime with the equations' code."""
     dae, options, step_size = plan.dae, plan.options, plan.step_size
     stages, order = of_fixed_steps(plan.solver)
     bounds = bounded_limits(dae, plan.system)
@@ -54,7 +55,7 @@ def model_header(plan: Plan, guid: str) -> str:
 #define ORDER_OF_STEPS {order}
 #define LARGEST_STEP {longest if step_size is None else step_size!r}
 #define MOST_TRIALS {most_trials(dae, plan.solver)}
-{_event_sizes(plan.system)}#endif
+{work_sizes(equations)}{_event_sizes(plan.system)}#endif
 """
 
 

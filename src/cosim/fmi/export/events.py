@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.codegen.landmarks import landmarks
 from cosim.codegen.terms import pulse_times
 from cosim.errors import UsageError
+from cosim.memo import cached_per_thread
 
 LEAST_STEPS = 50  # of the solver in a model's span
 _SAME_TIME = 1e-9  # relative distance of times that importers take as one
@@ -42,21 +43,28 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     Raises:
         UsageError: The equations cannot be frozen, or the model uses a reserved variable name.
     """
+    system, passed = _frozen(dae)
+    for name in passed:
+        warn(
+            f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "
+            "importer's solver, or fixed steps, may step over some: give it a largest step",
+            stacklevel=2,
+        )
+    return system
+
+
+@cached_per_thread(16)
+def _frozen(dae: Dae) -> tuple[Hybrid | None, tuple[str, ...]]:
+    """Return what `fmu_events` does, and the names of terms that change in other places."""
     try:
         system = hybrid(dae)
     except ValueError as error:
         raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
     system = system.blended() if system else Hybrid(dae, (), (), ())
     places = landmarks(system.with_conditions())
-    for name in places.passed:
-        warn(
-            f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "
-            "importer's solver, or fixed steps, may step over some: give it a largest step",
-            stacklevel=2,
-        )
     system = system.watching_more(places.arguments, "place")
     if not (system.relations or system.events or len(fmu_pulses(system.dae))):
-        return None
+        return None, places.passed
     smooth, modes = system.dae, ca.vertsplit(system.modes)
     rows, more = list[SX](), list[Variable]()
     for i, relation in enumerate(system.relations):
@@ -71,4 +79,5 @@ def fmu_events(dae: Dae) -> Hybrid | None:
         raise UsageError(f"{dae.full_name} has a variable '{taken}' of its own; rename it")
     outputs = ca.densify(ca.vertcat(smooth.outputs, *rows))
     variables = (*smooth.output_variables, *more)
-    return replace(system, dae=replace(smooth, outputs=outputs, output_variables=variables))
+    dae = replace(smooth, outputs=outputs, output_variables=variables)
+    return replace(system, dae=dae), places.passed

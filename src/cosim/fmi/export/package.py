@@ -105,7 +105,7 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     unsigned = model_description(plan, sources, guid="")
     settings = repr((plan.step_size, options.max_step)).encode()
     guid = _guid_of(unsigned, *code.values(), *plan.runtime.values(), settings)
-    code["model.h"] = model_header(plan, guid).encode()
+    code["model.h"] = model_header(plan, guid, code["equations.c"].decode()).encode()
     code["buildDescription.xml"] = build_description(plan, sources)
     drawn = pictures(plan.dae, options.fmi)
     return {

@@ -140,7 +140,7 @@ MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a se
 _KERNEL_OF_EVENTS = (
     *("laws.h", "switching.h", "sliding.h", "departure.h", "settle.h"),
     *("happen.h", "plan.h", "bounds.h", "enclosure.h", "margins.h", "search.h"),
-    *("model_laws.h", "ode.h", "cubic.h", "quintic.h"),
+    *("model_laws.h", "ode.h", "cubic.h", "quintic.h", "linear.h"),
 )
 
 # Every FMU contains the files of fmu/runtime that belong to no part.
@@ -180,7 +180,7 @@ PARTS = (
     Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,
-        ("rank.c",),
+        ("rank.c", "projection.h", "cubic.h", "ode.h"),
     ),
 )
 

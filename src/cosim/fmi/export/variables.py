@@ -18,6 +18,7 @@ from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
 from cosim.errors import UsageError
+from cosim.memo import cached_per_thread
 from cosim.model.troughs import resting
 from cosim.model.values import own_sizes
 
@@ -140,7 +141,14 @@ def _resting(dae: Dae) -> list[bool]:
 
     moves = (rates(x) != 0).all(axis=1)
     alone = np.eye(len(x), dtype=bool) & moves
-    return [bool(resting(rates, x, group).any()) for group in alone]
+    rest = [bool(resting(rates, x, group).any()) for group in alone]
+    # what is 0 at two places may be a table or a pulse that is not 0 at others
+    return [rests and _is_zero_at_zero(dae, i) for i, rests in enumerate(rest)]
+
+
+def _is_zero_at_zero(dae: Dae, state: int) -> bool:
+    """Return whether the formula of a derivative is 0 where its state is."""
+    return bool(ca.substitute(dae.ode[state], dae.x[state], 0).is_zero())
 
 
 def _settled(dae: Dae) -> list[float | None]:
@@ -172,6 +180,7 @@ def rate_unit(unit: str) -> tuple[str, Unit]:
     return quotient_name(unit, "s"), rate
 
 
+@cached_per_thread(16)
 def with_margins(dae: Dae, *, valid: bool) -> Dae:
     """Return the DAE with the margin of each validity condition as an additional output.
 

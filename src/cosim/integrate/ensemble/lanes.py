@@ -53,7 +53,7 @@ def lane_starts(
     Args:
         library: The model's library.
         dae: The model.
-        t: Begin of the runs, s.
+        t: Start of the runs, s.
         x: Initial values, or guesses if they are calculated, SI, (runs, nx); overwritten.
         u, p: Inputs and parameters, SI, (runs, nu) and (runs, np).
     """
@@ -91,7 +91,7 @@ def run_lanes(
         outputs: Number of outputs that it records.
         starts: Consistent x0 and nominal values of the states, inputs u, parameters p, SI: (runs,
             nx) twice, (runs, nu), (runs, np).
-        grid: Output times, s, (n,); the first is the begin of the runs.
+        grid: Output times, s, (n,); the first is the start of the runs.
         limits: Relative and absolute tolerance (1), and the largest step, s.
         threads: Largest number of threads; results do not depend on it.
         stop_outside: Whether a run ends when a validity condition is violated.
@@ -176,13 +176,8 @@ def in_lanes(
         dae = _unlimited(dae)
     lanes = lanes or processor_lanes()
     library = lane_library(dae, names, lanes)
-    reasons, runs = dict(values.refused), len(values)
-    x = np.ascontiguousarray(values.x)
-    known = (np.ascontiguousarray(rows) for rows in (values.u, values.p))
-    possible = lane_starts(library, dae, float(grid[0]), x, *known)
-    for i in np.flatnonzero(~possible):
-        if int(i) not in reasons:
-            reasons[int(i)] = why_no_start(dae, float(grid[0]), values, int(i))
+    runs, x = len(values), np.ascontiguousarray(values.x)
+    reasons = _without_start(library, dae, float(grid[0]), x, values)
     going = np.array([i for i in range(runs) if i not in reasons], dtype=np.int64)
     table = (x, nominal_sizes(dae, x, tolerance), values.u, values.p)
     found, ended, solve_time = run_lanes(
@@ -203,13 +198,7 @@ def in_lanes(
             reasons[number] = reason
         if outside and on_invalid is not OnInvalid.IGNORE:
             invalid[number] = outside
-    everything, report = found, ended
-    if len(going) < runs:
-        everything = np.full((runs, *found.shape[1:]), np.nan)
-        everything[going] = found
-        report = np.zeros(runs, ended.dtype)
-        report["error"] = np.nan
-        report[going] = ended
+    everything, report = _among_all(runs, going, found, ended)
     output_times = request.times.requested if request.times.own else grid
     rows = np.searchsorted(grid, output_times)
     ensemble = Ensemble(
@@ -236,6 +225,33 @@ def in_lanes(
         tolerance.pair[1],
     )
     return ensemble, lines[growing], going[ended["code"] == STUCK]
+
+
+def _without_start(
+    library: ctypes.CDLL, dae: Dae, t: float, x: Vector, values: ManyValues
+) -> dict[int, str]:
+    """Return why runs cannot begin, by position; x, (runs, nx), becomes consistent."""
+    reasons = dict(values.refused)
+    known = (np.ascontiguousarray(rows) for rows in (values.u, values.p))
+    possible = lane_starts(library, dae, t, x, *known)
+    for i in np.flatnonzero(~possible).tolist():
+        if i not in reasons:
+            reasons[i] = why_no_start(dae, t, values, i)
+    return reasons
+
+
+def _among_all(
+    runs: int, going: Integers, values: Vector, report: NDArray[np.void]
+) -> tuple[Vector, NDArray[np.void]]:
+    """Return values and report of all runs, where some have none: NaN, and no steps."""
+    if len(going) == runs:
+        return values, report
+    every_value = np.full((runs, *values.shape[1:]), np.nan)
+    every_value[going] = values
+    every_report = np.zeros(runs, report.dtype)
+    every_report["error"] = np.nan
+    every_report[going] = report
+    return every_value, every_report
 
 
 def nominal_sizes(dae: Dae, x: Vector, tolerance: Tolerance) -> Vector:

@@ -38,7 +38,7 @@ from cosim.model.catalogue import load
 from cosim.model.request import choice
 from cosim.model.values import number
 from cosim.plotting import picture
-from cosim.present.playback.page import column_facts, packed
+from cosim.present.playback.page import column_facts, packages, packed
 from cosim.present.playback.page import page as html_page
 from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
 from cosim.series.samples import Column
@@ -141,9 +141,10 @@ def animate(
     if speed is not None and not (speed := number("animate", "speed", speed)) > 0:
         raise UsageError(f"animate: speed {speed:g} is not positive; give a number above 0")
     if at is not None and not kind.still:
-        raise UsageError(f"animate: at= needs a still picture; name a .png file, not .{kind}")
+        raise UsageError(f"animate: only a picture shows chosen times; name a .png, not a .{kind}")
     if live is not None and kind is not AnimationFormat.HTML:
         raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
+    reject_missing(kind, live=live is not None)
     shown = _shown(runs)
     times = None
     if kind.still:
@@ -196,6 +197,18 @@ def animation_format(target: str | os.PathLike[str]) -> AnimationFormat:
         raise UnknownName(
             f"{target} has no animation format '{kind}'; name a file that ends with {endings}"
         ) from None
+
+
+def reject_missing(kind: AnimationFormat, *, live: bool) -> None:
+    """Reject a format whose packages are missing, before anything is computed.
+
+    Raises:
+        MissingTool: A package is not installed.
+    """
+    if kind is AnimationFormat.HTML:
+        packages("live" if live else "animate")
+    elif kind is AnimationFormat.MP4:
+        optional_module("imageio_ffmpeg", "animate")
 
 
 def movie(

@@ -66,7 +66,7 @@ def page(
     Raises:
         MissingTool: meshcat or uplot-python is not installed.
     """
-    three, plots, style = _packages("live" if live else "animate")
+    three, plots, style = packages("live" if live else "animate")
     own = files("cosim.present.playback") / "page"
     scripts = [three, plots, *((own / name).read_text(encoding="utf-8") for name in _SCRIPTS)]
     facts = _facts(played, runs, scale_of(played, follow), view)
@@ -92,8 +92,12 @@ def page(
     return text
 
 
-def _packages(extra: str) -> list[str]:
-    """Return three.js, uPlot and its style; the extra brings their packages."""
+def packages(extra: str) -> list[str]:
+    """Return three.js, uPlot and its style; the extra brings their packages.
+
+    Raises:
+        MissingTool: A package is not installed.
+    """
     texts = []
     for package, names in _PACKAGES.items():
         found = find_spec(package)
@@ -102,7 +106,7 @@ def _packages(extra: str) -> list[str]:
             path = Path(places[0] if places else "", name)
             if not path.is_file():
                 raise MissingTool(
-                    f"the {package} that pages need is not installed; "
+                    f"{package}, which pages need, is not installed; "
                     f'bring it with: pip install "cosim-rigid[{extra}]"'
                 )
             texts.append(path.read_text(encoding="utf-8"))

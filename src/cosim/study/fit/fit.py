@@ -317,8 +317,7 @@ class _Problem:
         """Tell which scaled values are not at a bound that the slope of the cost leads beyond."""
         low, high = (ends / self.unknowns.sizes for ends in (self.unknowns.low, self.unknowns.high))
         near = 1e-6 * np.fmin(high - low, 1.0)
-        found: Truths = ~(((x - low <= near) & (slope > 0)) | ((high - x <= near) & (slope < 0)))
-        return found
+        return ~(((x - low <= near) & (slope > 0)) | ((high - x <= near) & (slope < 0)))
 
     def _or_infinite(self, x: Vector) -> Vector:
         """Return the residuals; infinity where the run fails, so that the step is shortened."""

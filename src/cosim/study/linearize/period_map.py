@@ -39,9 +39,9 @@ class PeriodMap:
     Attributes:
         dae: The model.
         values: Values of inputs and parameters.
-        begin: Begin of the period, s.
+        begin: Start of the period, s.
         period: Its length, s.
-        samples_first: Whether the samples at the begin belong to it, not those at its end.
+        samples_first: Whether the samples at the start belong to it, not those at its end.
         point: Description of the state, for errors.
     """
 
@@ -53,7 +53,7 @@ class PeriodMap:
     point: str
 
     def __call__(self, x: Vector) -> Mapped:
-        """Return the map of a state at the begin of the period."""
+        """Return the map of a state at the start of the period."""
         n, m = len(x), len(self.values.u)
         step, time = Mapped(x, np.eye(n), np.zeros((n, m))), self.begin
         end = self.begin + self.period

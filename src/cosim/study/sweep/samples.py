@@ -8,6 +8,7 @@ from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter, warn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,7 +67,7 @@ def as_samples(table: Any) -> Samples:
         return read_samples(table)
     if isinstance(table, Mapping):
         return Samples(table)
-    if hasattr(table, "columns") and hasattr(table, "to_numpy"):  # of pandas
+    if hasattr(table, "columns") and hasattr(table, "iloc"):  # of pandas
         return Samples({str(name): table[name].to_numpy() for name in table.columns})
     raise UsageError.of_type("sweep: samples", table, A_TABLE)
 
@@ -181,7 +182,12 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
     else:
         qmc = optional_module("scipy.stats", "sweep").qmc
         sampler = getattr(qmc, DESIGNS[kind])(len(varied), rng=np.random.default_rng(seed))
-        unit = sampler.random(runs)
+        with catch_warnings():
+            simplefilter("ignore", UserWarning)  # of SciPy, on numbers that are no power of 2
+            unit = sampler.random(runs)
+        if kind == "sobol" and runs & (runs - 1):
+            better = f"{2 ** (runs.bit_length() - 1)} or {2 ** runs.bit_length()}"
+            warn(f"sweep: {runs} sobol samples are unevenly spread; give {better}", stacklevel=2)
     quantiles = dict(zip(varied, unit.T, strict=True))
     columns = {
         name: _spread(name, spread, quantiles[name]) if name in quantiles else spread

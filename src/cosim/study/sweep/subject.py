@@ -60,8 +60,8 @@ def run_settings(keywords: RunKeywords) -> dict[str, Any]:
         if twice := next((name for name in numbers if name in settings), None):
             raise UsageError(f"sweep: {twice} is given with {solver}; give it once")
         settings |= {"solver": solver.name, **numbers}
-    if "output_times" in settings:
-        settings["output_times"] = Times.at(keywords["output_times"] or ()).requested.tolist()
+    if (times := keywords.get("output_times")) is not None:
+        settings["output_times"] = Times.at(times).requested.tolist()
     return settings
 
 

@@ -362,7 +362,8 @@ def _chosen_scheduler(scheduler: Any, workers: int | None, *, alone: bool) -> An
     """Return the requested scheduler; by default this process (None) if `alone`, else "local"."""
     if workers is not None:
         whole("sweep", "workers", workers, 0, _MOST_WORKERS)
-    if scheduler not in (None, "local") and workers is not None:
+    is_local = scheduler is None or (isinstance(scheduler, str) and scheduler == "local")
+    if not is_local and workers is not None:
         raise UsageError("sweep: a scheduler has workers of its own; leave workers out")
     if scheduler is None and workers != 0:
         here = workers is None and (alone or find_spec("distributed") is None)

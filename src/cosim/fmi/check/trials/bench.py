@@ -73,7 +73,7 @@ class Bench:
 
     folder: Path
     name: str
-    timeout: float = 120.0
+    timeout: float
 
     @property
     def second(self) -> bool:
@@ -211,7 +211,7 @@ class Bench:
 
     @property
     def start(self) -> float:
-        """Begin of the default experiment, s."""
+        """Start of the default experiment, s."""
         return self.experiment("startTime") or 0.0
 
     @property

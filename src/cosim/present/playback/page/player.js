@@ -40,6 +40,7 @@ class Player {
     this.fail("");
     this.results = results;
     results.forEach((run, i) => run.time.length && this.scene.actors[i].take(run));
+    if (this.data.live && this.scene.fitted) this.scene.fit();
     const { time } = results[0];
     [this.begin, this.end] = [time[0], time[time.length - 1]];
     this.t = Math.min(Math.max(this.t, this.begin), this.end);

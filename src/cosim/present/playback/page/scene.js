@@ -6,6 +6,7 @@
 const THREE = MeshCat.THREE;
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const BODY = 12, LOAD = 6, POINT = 3;
+const FARTHEST = 6; // distance of what a picture must show from its middle, over half the size of the first run
 
 const value = (run, i, j) => run.rows[i * run.across + j * run.down];
 const triple = (run, i, j) => [0, 1, 2].map((k) => value(run, i, j + k));
@@ -37,6 +38,15 @@ function onto(direction) {
   const axis = new THREE.Vector3(0, 0, 1);
   if (!(direction.length() > 0)) return new THREE.Quaternion();
   return new THREE.Quaternion().setFromUnitVectors(axis, direction.clone().normalize());
+}
+
+/* The corners of a mesh in the frame of its group's body. */
+function boxed(mesh, group) {
+  if (!mesh.geometry.boundingBox) mesh.geometry.computeBoundingBox();
+  group.updateMatrix();
+  const { min, max } = mesh.geometry.boundingBox;
+  return [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) =>
+    new THREE.Vector3(x, y, z).applyMatrix4(group.matrix))));
 }
 
 const GEOMETRIES = {
@@ -267,8 +277,8 @@ class Scene {
     const up = this.up.clone().normalize(), turns = data.live && data.follow >= 0 ? 8 : 1;
     const turned = (p, k) => new THREE.Vector3(...p).sub(this.center)
       .applyAxisAngle(up, (2 * Math.PI * k) / turns).add(this.center);
-    const points = this.actors.flatMap(({ aside }) => data.framed.flatMap((p) =>
-      Array.from({ length: turns }, (_, k) => turned(p, k).add(aside))));
+    const points = this.actors.flatMap((actor) => [...data.framed, ...this.corners(actor)].flatMap((p) =>
+      Array.from({ length: turns }, (_, k) => turned(p, k).add(actor.aside))));
     const reach = Math.max(...points.map((point) => point.distanceTo(this.center)));
     const slope = Math.tan((data.camera.field * Math.PI) / 360), top = Math.min(0.6, (2 * texts) / (height || 1));
     const room = [0.94, 0.94 - top / 2];
@@ -283,6 +293,36 @@ class Scene {
       this.center.addScaledVector(x, middle[0] * slope * camera.aspect * away).addScaledVector(y, middle[1] * slope * away);
       this.from.multiplyScalar(Math.max(...[0, 1].map((k) => (high[k] - low[k]) / 2 / room[k])));
     }
+  }
+
+  /* Outermost corners of the shapes while a run of sliders is valid, where a camera that follows it
+     sees them; a shape that goes far away may leave the picture. */
+  corners(actor) {
+    const { run } = actor, { data } = this, center = new THREE.Vector3(...data.camera.center);
+    if (!data.live || !run) return [];
+    const sides = [-1, 0, 1], outward = sides.flatMap((x) => sides.flatMap((y) => sides.map((z) =>
+      ({ way: new THREE.Vector3(x, y, z), most: -Infinity, corner: new THREE.Vector3() }))));
+    const boxes = actor.bodies.map(({ body }) => actor.shapes.flatMap(({ group }) =>
+      group.parent === body ? group.children.flatMap((mesh) => boxed(mesh, group)) : []));
+    const end = run.invalid_from === null ? Infinity : run.invalid_from, matrix = new THREE.Matrix4();
+    const point = new THREE.Vector3(), step = Math.ceil(run.time.length / 500);
+    for (let i = 0; i < run.time.length && run.time[i] <= end; i += step) {
+      const along = this.followed(actor, run.time[i]).add(center);
+      boxes.forEach((corners, k) => {
+        const [x, y, z, ...m] = Array.from({ length: BODY }, (_, j) => value(run, i, k * BODY + j));
+        matrix.set(m[0], m[3], m[6], x, m[1], m[4], m[7], y, m[2], m[5], m[8], z, 0, 0, 0, 1);
+        for (const corner of corners) {
+          point.copy(corner).applyMatrix4(matrix).sub(along);
+          for (const found of outward) {
+            const size = point.dot(found.way);
+            if (size <= found.most) continue;
+            found.most = size;
+            found.corner.copy(point);
+          }
+        }
+      });
+    }
+    return outward.map(({ corner }) => corner.clampLength(0, FARTHEST * data.size).add(center).toArray());
   }
 
   /* Puts the camera where it belongs. */
