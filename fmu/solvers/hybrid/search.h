@@ -114,10 +114,7 @@ static inline int first_at(const Place *place, const double slack[], int found) 
  * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
-    double slack[MODES + 1];
-    /* what was 0 at its event leaves its boundary only as it moves by more than rounding */
-    for (int i = 0; i < MODES; ++i)
-        slack[i] = s->state[i] == LEAVES || s->state[i] == HELD ? 0 : s->slack[i];
+    const double *slack = s->slack;
     Bounds bounds = {begin, end, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
