@@ -14,7 +14,7 @@
    model_rank               t, x, z, u, c                         -> distance (1)
    model_rank_rate          t, x, z, u, c                         -> its time derivative (1)
    model_project            t, x, u, p                            -> x_moved, change (1)
-   model_relations          t, x, z, u, p, du/dt                  -> values, rates, seconds, sizes
+   model_relations          t, x, z, u, p, du/dt -> values, rates, seconds, sizes, dx
    model_rounding           t, x, z, u, p, sizes of x             -> changes (2), sizes of rates
    model_timed              t, x, z, u, p                         -> arguments, rates
    model_bounds             t, x, z, u, p, length (1)             -> low, high

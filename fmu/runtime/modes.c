@@ -68,6 +68,7 @@ Status start_modes(Instance *self) {
     const Point at = present(self);
     const double rest = state->stop_time - state->values[TIME], span = SPAN * LARGEST_STEP;
     const Ending found = begin_modes(&laws, &state->switching, &at, rest < INFINITY ? rest : span);
+    state->switching.last = state->values[TIME];
     state->stale |= AFTER_START;
     return refuse_ending(self, DISCARD, &found, NULL);
 }
@@ -124,6 +125,16 @@ Status look_now(Instance *self, Seen *seen) {
     return refuse(self, DISCARD, "the relations cannot be computed at time %.17g", at.t);
 }
 
+/* Whether an input has moved an argument that slides, or has kept one at 0 that all others have
+ * moved since its event. Importers of model exchange do not tell the rates of inputs. */
+static bool is_kept_by_inputs(const Laws *laws, const Switching *s, const Seen *seen, int i,
+                              double t) {
+    const double way = fabs(seen->rates[i]) * (t - s->last);
+    if (s->state[i] == SLIDES) return is_moved(laws, s, seen, i);
+    return s->state[i] == LEAVES && laws->relations[i].moved && way > MOVED * s->slack[i] &&
+           fabs(past_boundary(laws, s, seen, i)) < way / 1000;
+}
+
 Status complete_step(Instance *self, Status severity) {
     Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
@@ -131,13 +142,13 @@ Status complete_step(Instance *self, Status severity) {
     Seen seen;
     const Status status = any ? look_now(self, &seen) : OK;
     if (!any || status != OK) return status;
-    note_inside(&laws, s, self->state.values + FIRST_MODE, seen.arguments);
     for (int i = 0; i < MODES && laws.blind; i++)
-        if (s->state[i] == SLIDES && is_moved(&laws, s, &seen, i))
+        if (is_kept_by_inputs(&laws, s, &seen, i, self->state.values[TIME]))
             return refuse(self, severity,
                           "an input moves '%s', which stays 0, at %.12g s, and model exchange does "
                           "not tell its rate: use co-simulation, or compute it in the model",
                           relation_names[i], self->state.values[TIME]);
+    note_inside(&laws, s, self->state.values + FIRST_MODE, seen.arguments);
     return OK;
 }
 

@@ -39,19 +39,18 @@ typedef struct {
     const double *departure; /* second derivatives of inputs that rest, and move on; or NULL */
 } LawOwner;
 
+enum { RESULTS_OF_A_LAW = 5 };
+typedef double *Results[RESULTS_OF_A_LAW];
+
 static inline bool call_law(const LawOwner *self, Equations *function, const Point *at,
-                            const double *more, double *first, double *second, double *third,
-                            double *fourth) {
+                            const double *more, const Results results) {
     self->arg[0] = &at->t;
     self->arg[1] = at->x;
     self->arg[2] = at->z;
     self->arg[3] = at->u;
     self->arg[4] = self->c;
     self->arg[5] = more;
-    self->res[0] = first;
-    self->res[1] = second;
-    self->res[2] = third;
-    self->res[3] = fourth;
+    for (int i = 0; i < RESULTS_OF_A_LAW; i++) self->res[i] = results[i];
     return !function(self->arg, self->res, self->iw, self->w, 0);
 }
 
@@ -77,9 +76,9 @@ static inline bool law_inputs(const LawOwner *self, const Point *at, double u[],
 
 /* The algebraic unknowns from their guess. */
 static inline bool solve_law(const LawOwner *self, const Point *at) {
-    double z[NZ + 1];
+    double z[NZ + 1] = {0};
     if (NZ == 0) return true;
-    if (!call_law(self, model_laws.algebraic, at, NULL, z, NULL, NULL, NULL)) return false;
+    if (!call_law(self, model_laws.algebraic, at, NULL, (Results){z})) return false;
     for (int i = 0; i < NZ; i++)
         if (!isfinite(z[i])) return false;
     memcpy(at->z, z, NZ * sizeof *z);
@@ -94,21 +93,19 @@ static inline bool add_departure(const LawOwner *self, const Point *at, Seen *se
     bool any = false;
     for (int i = 0; i < NU && self->departure; i++) any |= self->departure[i] != 0;
     if (!any) return true;
-    if (!call_law(self, model_laws.relations, at, self->departure, with.arguments, with.rates,
-                  with.seconds, with.sizes) ||
-        !call_law(self, model_laws.relations, at, none, without.arguments, without.rates,
-                  without.seconds, without.sizes))
+    if (!call_law(self, model_laws.relations, at, self->departure, (Results){NULL, with.rates}) ||
+        !call_law(self, model_laws.relations, at, none, (Results){NULL, without.rates}))
         return false;
     for (int i = 0; i < MODES; i++) seen->seconds[i] += with.rates[i] - without.rates[i];
     return true;
 }
 
 static inline bool law_see(void *owner, const Point *at, Seen *seen) {
-    double u[NU + 1], slopes[NU + 1];
+    double u[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
-    return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
-           call_law(owner, model_laws.relations, &now, slopes, seen->arguments, seen->rates,
-                    seen->seconds, seen->sizes) &&
+    const Results found = {seen->arguments, seen->rates, seen->seconds, seen->sizes, seen->slopes};
+    return law_inputs(owner, at, u, seen->moves) && solve_law(owner, &now) &&
+           call_law(owner, model_laws.relations, &now, seen->moves, found) &&
            add_departure(owner, &now, seen);
 }
 
@@ -116,8 +113,8 @@ static inline bool law_decide(void *owner, const Point *at, Decision *found) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return law_inputs(owner, at, u, slopes) && solve_law(owner, &now) &&
-           call_law(owner, model_laws.conditions, &now, NULL, found->conditions, found->values,
-                    found->defects, NULL);
+           call_law(owner, model_laws.conditions, &now, NULL,
+                    (Results){found->conditions, found->values, found->defects});
 }
 
 static inline bool law_spread(void *owner, const Point *at, Spread *found) {
@@ -125,20 +122,20 @@ static inline bool law_spread(void *owner, const Point *at, Spread *found) {
     double u[NU + 1], slopes[NU + 1];
     const Point now = {at->t, at->x, at->z, u};
     return model_laws.rounding && law_inputs(owner, at, u, slopes) &&
-           call_law(owner, model_laws.rounding, &now, self->sizes, found->sized, found->least,
-                    found->rates, NULL);
+           call_law(owner, model_laws.rounding, &now, self->sizes,
+                    (Results){found->sized, found->least, found->rates});
 }
 
 static inline bool law_timed(void *owner, const Point *at, double t, double arguments[],
                              double rates[]) {
     const Point then = {t, at->x, at->z, at->u};
-    return call_law(owner, model_laws.timed, &then, NULL, arguments, rates, NULL, NULL);
+    return call_law(owner, model_laws.timed, &then, NULL, (Results){arguments, rates});
 }
 
 static inline bool law_bounds(void *owner, const Point *at, double t, double length, double low[],
                               double high[]) {
     const Point then = {t, at->x, at->z, at->u};
-    return call_law(owner, model_laws.bounds, &then, &length, low, high, NULL, NULL);
+    return call_law(owner, model_laws.bounds, &then, &length, (Results){low, high});
 }
 
 static inline bool law_enclose(void *owner, const Point *at, double length, const Spans *spans,

@@ -266,7 +266,7 @@ static inline int pass_event(Watch *self, const Crossing *crossing, double *x, b
         memcpy(problem->u, u, NU * sizeof *u);
         return 1;
     }
-    record_event(self, &before, &at, &found);
+    if (found.count > 0 || found.modes_changed) record_event(self, &before, &at, &found);
     if (replan) plan(&self->laws, self->switching, &at, at.t, self->until, true, NEVER_AGAIN);
     return 0;
 }

@@ -46,6 +46,10 @@ static bool see(void *owner, const Point *at, Seen *found) {
     memcpy(found->rates, rates, sizeof rates);
     memcpy(found->seconds, seconds, sizeof seconds);
     memcpy(found->sizes, sizes, sizeof sizes);
+    found->slopes[0] = v;
+    found->slopes[1] = a;
+    found->slopes[2] = found->moves[SIGN] = found->moves[WALL] = found->moves[SECOND] = 0;
+    found->moves[CLOCK] = 0;
     return isfinite(v);
 }
 

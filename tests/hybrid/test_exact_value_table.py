@@ -5,6 +5,7 @@ condition that no law has is counted. The right value comes from the path alone:
 `helpers.exact_paths` knows neither CasADi nor our code.
 """
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -246,8 +247,12 @@ STATE_PATHS = {
     "assigned from above": through((0, 1.5), (1, 1.5), (1, 1), (4, 1)),
     "touch from below": curve(lambda t: 1 - (t - 2) ** 2 / 4, 0, 2, 4),
     "touch from above": curve(lambda t: 1 + (t - 2) ** 2 / 8, 0, 2, 4),
+    "slowly up": curve(lambda t: 1 + t**3 / 128, 0, 4),
+    "slowly down": curve(lambda t: 1 - t**4 / 512, 0, 4),
+    "slowly up later": curve(lambda t: 1 + max(t - 1, 0) ** 5 / 486, 0, 1, 4),
 }
-GROUPS = {"moving": tuple(STATE_PATHS)[:6], "changed": tuple(STATE_PATHS)[6:]}
+GROUPS = {"moving": tuple(STATE_PATHS)[:6], "changed": tuple(STATE_PATHS)[6:10],
+          "leaving": tuple(STATE_PATHS)[10:]}  # fmt: skip
 
 
 def moving(model):
@@ -276,11 +281,31 @@ def changed(model):
     return arguments
 
 
+def leaving(model):
+    """Return states whose first derivatives are 0 where they leave their boundary."""
+    arguments = {}
+    for path, power, start, last in (
+        ("slowly up", 3, 0, 1 / 128), ("slowly down", 4, 0, -1 / 512),
+        ("slowly up later", 5, 1, 1 / 486),
+    ):  # fmt: skip
+        name = path.replace(" ", "_")
+        highest = math.factorial(power) * last
+        before = 0.0 if start else highest
+        derivative = model.discrete(f"last_{name}", "1", before, f"derivative of order {power}")
+        model.when(model.t >= start, {derivative: highest}, name=path)
+        for order in range(power - 1, -1, -1):
+            x = model.state(f"{name}_{order}", "1", float(order == 0), f"derivative {order}")
+            model.derivative(x, derivative)
+            derivative = x
+        arguments[path] = x
+    return arguments
+
+
 @cache
 def state_model(group, add=integrals):
     """Return the integrals of all laws of a group of states, or the counts of all conditions."""
     model = cosim.Model(f"of_states_{group}", stop_time=STOP, output_interval=0.1)
-    return add(model, {"moving": moving, "changed": changed}[group](model))
+    return add(model, {"moving": moving, "changed": changed, "leaving": leaving}[group](model))
 
 
 @pytest.mark.slow_rows("changed-fmu2 cs fmpy", "moving-cvodes", "moving-fmu2 cs fmpy")

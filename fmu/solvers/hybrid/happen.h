@@ -115,6 +115,18 @@ static inline void samples_at(const Laws *laws, const Switching *s, const Point 
 
 /* -- an instant ------------------------------------------------------------------------------- */
 
+/* Arguments that rest where a search has found a crossing, and nothing else is known to happen,
+ * have only approached their boundary: their modes are held. */
+static inline void note_approaches(const Laws *laws, Switching *s, const Point *at,
+                                   const double inside[], const bool zero[], Seen *seen) {
+    look_ahead(laws, s, at, zero, seen);
+    for (int i = 0; i < MODES; i++) {
+        const bool near = fabs(inside[i] - s->slack[i]) <= s->slack[i];
+        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES;
+        if (zero[i] && near && !other && rests_on(s, seen, i)) s->state[i] = HELD;
+    }
+}
+
 /* Which arguments are 0, and which relations no longer slide; `reached`: those that rest there are
  * left out. Returns how far arguments have moved since the last event, in roundings; -1 without a
  * value. */
@@ -132,6 +144,8 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
         if (is_passing(s, t, i, inside[i], rates[i])) wait = fmax(wait, inside[i] / -rates[i]);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
+        const bool held = is_held(laws, s, &seen, i);
+        if (s->state[i] == HELD && !held && !laws->blind) s->state[i] = LEAVES;
         if (later[i]) {
             decided[i] = true;
         } else if (zero[i]) {
@@ -143,7 +157,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             modes[i] = (moved ? seen.arguments[i] : modes[i]) > 0 ? 1 : -1;
             zero[i] = decided[i] = !moved;
             if (moved) s->beyond[i] = 0;
-        } else if (is_held(laws, s, &seen, i)) {
+        } else if (held) {
             zero[i] = rests[i] = true;
         } else if (relation->of_time) {
             zero[i] = s->due[i] != JUMPS && is_due(s, i, t) && s->next != NOT_PLANNED;
@@ -162,6 +176,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }
     }
+    if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, inside, zero, &seen);
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }

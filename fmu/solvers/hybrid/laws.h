@@ -58,9 +58,11 @@ typedef struct {
 } Point;
 
 /* Relations at a point: arguments with their first and second time derivatives along a solution,
- * and sizes beside which a first derivative is rounding. */
+ * and sizes beside which a first derivative is rounding; and dx/dt and du/dt. */
 typedef struct {
     double arguments[MODES + 1], rates[MODES + 1], seconds[MODES + 1], sizes[MODES + 1];
+    double slopes[NX + 1], moves[NU + 1];
+    double departs[MODES + 1]; /* the kernel's: infinite, the side to which one slowly leaves 0 */
 } Seen;
 
 /* What rounding makes of relations, relative to 1: of an argument, with states of their sizes or as

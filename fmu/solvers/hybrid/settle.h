@@ -9,14 +9,12 @@
 #ifndef HYBRID_SETTLE_H
 #define HYBRID_SETTLE_H
 
-#include "linear.h"
-#include "switching.h"
+#include "departure.h"
 
 enum { MOST_ROUNDS = 100 }; /* of changes of modes, and of events, at one instant */
 
 static const double EDGE = 1e-9;        /* by which the mode of a new sliding may leave -1 ... 1 */
 static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event */
-static const double NOT_AFFINE = 1e-8;  /* rate of an argument that should stay, relative */
 static const double MOVED = 1e8;        /* roundings by which only an input moves an argument */
 static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
 
@@ -50,7 +48,8 @@ static inline Ending ending(Reason reason, int part) {
  * quantities move it, too, their errors are more than rounding; so is what importers of model
  * exchange have stepped beyond a boundary. */
 static inline bool is_moved(const Laws *laws, const Switching *s, const Seen *seen, int i) {
-    const double way = fabs(past_boundary(laws, s, seen, i));
+    const double left = laws->blind ? 0 : s->left[i];
+    const double way = fabs(past_boundary(laws, s, seen, i) - left);
     const int moved = laws->relations[i].moved;
     const bool exact = moved == BY_INPUTS && (!laws->blind || s->beyond[i] == 0);
     return moved && !(way <= (exact ? 1 : MOVED) * s->slack[i]);
@@ -116,76 +115,6 @@ static inline void note_inside(const Laws *laws, Switching *s, const double mode
     }
 }
 
-/* -- sliding ---------------------------------------------------------------------------------- */
-
-/* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
- * arguments are affine in the modes: both sides tell how. A mode of exactly 0 is that of rest. */
-static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
-    double *modes = modes_of(at), sizes[MODES + 1], a[MODES * MODES + 1], b[MODES + 1];
-    int which[MODES + 1], n = 0;
-    Seen base, one;
-    for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) which[n++] = i;
-    if (n == 0) return true;
-
-    for (int k = 0; k < n; k++) modes[which[k]] = -1;
-    if (!laws->see(laws->owner, at, &base)) return false;
-    for (int k = 0; k < n; k++) {
-        b[k] = -base.rates[which[k]];
-        sizes[k] = fabs(b[k]);
-    }
-    for (int c = 0; c < n; c++) {
-        modes[which[c]] = 1;
-        if (!laws->see(laws->owner, at, &one)) return false;
-        modes[which[c]] = -1;
-        for (int r = 0; r < n; r++) {
-            a[r * n + c] = (one.rates[which[r]] - base.rates[which[r]]) / 2;
-            sizes[r] += fabs(a[r * n + c]);
-        }
-    }
-    if (solve_dense(n, a, b)) return false;
-    for (int k = 0; k < n; k++) modes[which[k]] = b[k] == 1 ? DBL_MIN : b[k] - 1;
-    if (!laws->see(laws->owner, at, &one)) return false;
-    for (int k = 0; k < n; k++)
-        if (!(fabs(one.rates[which[k]]) <= NOT_AFFINE * sizes[k])) return false;
-    return true;
-}
-
-/* Relations at a point, whatever slides. */
-static inline bool look_closely(const Laws *laws, const Switching *s, const Point *at, Seen *seen) {
-    return follow(laws, s, at) && laws->see(laws->owner, at, seen);
-}
-
-/* Ends the sliding of relations whose arguments no mode keeps at 0 any more, as where a friction
- * force vanishes: they go where their rates lead. Returns whether there are any. */
-static inline bool release_unkept(const Laws *laws, Switching *s, const Point *at, bool zero[]) {
-    double *modes = modes_of(at);
-    bool any = false;
-    Seen without, with;
-    for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) modes[i] = -1;
-    if (!laws->see(laws->owner, at, &without)) return false;
-    for (int i = 0; i < MODES; i++) {
-        if (s->state[i] != SLIDES) continue;
-        modes[i] = 1;
-        if (!laws->see(laws->owner, at, &with)) return false;
-        modes[i] = -1;
-        const double change = fabs(with.rates[i] - without.rates[i]);
-        if (change > ROUNDING * (without.sizes[i] + fabs(without.rates[i]))) continue;
-        s->state[i] = FREE;
-        modes[i] = without.rates[i] < 0 ? -1 : 1;
-        zero[i] = any = true;
-    }
-    return any;
-}
-
-/* Relations at an instant, where some may no longer slide. */
-static inline bool look_or_release(const Laws *laws, Switching *s, const Point *at, bool zero[],
-                                   Seen *seen) {
-    return look_closely(laws, s, at, seen) ||
-           (release_unkept(laws, s, at, zero) && look_closely(laws, s, at, seen));
-}
-
 /* -- one instant ------------------------------------------------------------------------------ */
 
 static inline double mode_by_value(bool floor_, double value) {
@@ -229,12 +158,13 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
     if (jumps) return mode_by_value(relation->floor, value);
     if (!*zero && value != boundary) return apart(laws, s, at, seen, i, value);
     *zero = true;
-    const double tiny = ROUNDING * seen->sizes[i], along[] = {seen->rates[i], seen->seconds[i]};
-    for (int k = 0; k < 2; k++) {
-        if (!(fabs(along[k]) > tiny)) continue;
+    const double along[] = {seen->rates[i], seen->seconds[i], seen->departs[i]};
+    for (int k = 0; k < 3; k++) {
+        if (!(fabs(along[k]) > rounding_of_rate(s, seen, i))) continue;
         if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
         return along[k] > 0 ? 1 : -1;
     }
+    if (s->state[i] == HELD && !laws->blind) return mode; /* it has rested since its event */
     if (relation->floor) return boundary;
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
@@ -301,6 +231,7 @@ static inline bool change_one(const Laws *laws, Switching *s, const Point *at, c
         if (!at_zero || laws->relations[i].floor || laws->relations[i].of_time) return true;
         Seen other;
         if (!look_closely(laws, s, at, &other)) return false;
+        look_ahead(laws, s, at, zero, &other);
         if (required(laws, s, at, &other, i, &at_zero) != mode) {
             s->state[i] = SLIDES;
             zero[i] = true;
@@ -325,7 +256,7 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
         s->stays[i] = 0;
         if (s->state[i] == HELD) s->state[i] = LEAVES;
         if (!zero[i] || laws->relations[i].of_time || !isfinite(value)) continue;
-        const bool rests = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= tiny;
+        const bool rests = rests_on(s, seen, i);
         if (rests) s->stays[i] = tiny;
         if (s->state[i] != SLIDES) s->state[i] = rests ? HELD : LEAVES;
         s->left[i] = laws->relations[i].floor ? round(value) : 0;
@@ -343,6 +274,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
         if (!look_or_release(laws, s, at, zero, &seen)) return ending(NO_VALUE, -1);
         note_slack(laws, s, at);
+        look_ahead(laws, s, at, zero, &seen);
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
         if (trial > 0) note_jumps(s, &before, &seen, zero);

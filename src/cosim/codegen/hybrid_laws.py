@@ -27,7 +27,7 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
     timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
     seen = system.watching("seen")
     given = seen.mx_in()
-    arguments, rates, _, _, seconds, sizes, _ = seen.call(given, True)
+    arguments, rates, _, _, seconds, sizes, ode = seen.call(given, True)
     span = system.time_bounds
     over, ends = [*dae.arguments, span.length], [span.low, span.high]
     bounds = [ca.Function("model_bounds", over, ends, {"cse": True})] if span.relations else []
@@ -37,7 +37,7 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
         bounds.append(ca.Function("model_enclosure", within, sides, {"cse": True}))
     decisions = [*system.rules, ca.densify(defects)]
     return [
-        ca.Function("model_relations", given, [arguments, rates, seconds, sizes]),
+        ca.Function("model_relations", given, [arguments, rates, seconds, sizes, ode]),
         system.rounding("model_rounding"),
         ca.Function("model_timed", dae.arguments, timed, {"cse": True}),
         ca.Function("model_conditions", dae.arguments, decisions, {"cse": True}),

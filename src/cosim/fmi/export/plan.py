@@ -138,9 +138,9 @@ class Part:
 
 MOST_STEPS = 1_000_000  # of equal length, in an output interval; tenths of a second
 _KERNEL_OF_EVENTS = (
-    *("laws.h", "switching.h", "settle.h", "happen.h", "plan.h", "bounds.h"),
-    *("enclosure.h", "margins.h", "search.h", "model_laws.h", "ode.h"),
-    *("cubic.h", "quintic.h", "linear.h"),
+    *("laws.h", "switching.h", "sliding.h", "departure.h", "settle.h"),
+    *("happen.h", "plan.h", "bounds.h", "enclosure.h", "margins.h", "search.h"),
+    *("model_laws.h", "ode.h", "cubic.h", "quintic.h", "linear.h"),
 )
 
 # Every FMU contains the files of fmu/runtime that belong to no part.

@@ -1,0 +1,76 @@
+"""Arguments that only approach their boundary, or that an input keeps there."""
+
+from functools import cache
+
+import casadi as ca
+import pytest
+from helpers.hybrid_engines import ENGINES, run_on
+
+import cosim
+
+
+@cache
+def approaching():
+    """Return x = level (1 - exp(-k t)), and how often and how long it is at its level, or above."""
+    model = cosim.Model("approaching", stop_time=60.0, output_interval=0.6)
+    k = model.parameter("k", "1/s", 1.0, "rate")
+    level = model.parameter("level", "1", 1.0, "limit of x")
+    x = model.state("x", "1", 0.0, "argument")
+    model.derivative(x, k * (level - x))
+    for name, law in {"above": x > level, "reached": x >= level}.items():
+        times = model.discrete(name, "1", 0.0, "how often")
+        model.when(law, {times: times + 1})
+        model.derivative(model.state(f"{name}_for", "s", 0.0, "how long"), ca.if_else(law, 1, 0))
+    return model.freeze()
+
+
+def assert_only_approached(engine, rates, levels, laws):
+    for k in rates:
+        for level in levels:
+            final = run_on(engine, approaching(), start_values={"k": k, "level": level}).final
+            found = {n: final[n] for law in laws for n in (law, f"{law}_for")}
+            assert not any(found.values()), (k, level, found)
+
+
+def test_what_only_approaches_its_boundary_does_not_cross_it():
+    assert_only_approached("dop853", (1.4, 2.3), (1.0,), ("above", "reached"))
+
+
+NATIVE = [e for e in ENGINES if not e.startswith("fmu") and e not in ("rk4", "ode8")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", NATIVE)
+def test_what_approaches_at_many_rates_crosses_in_no_native_run(engine):
+    """Fixed steps are too long for most of these rates, and say so; rounding may reach a level."""
+    assert_only_approached(engine, (0.6, 1.4, 2.8, 7.3), (1e-3, 1.0, 1e4), ("above",))
+
+
+@pytest.mark.slow
+def test_a_run_in_which_noise_leaves_a_boundary_again_and_again_ends():
+    """The fast one of two decays turns the slow one back at once: no event, and no endless loop."""
+    model = cosim.Model("overdamped", stop_time=25.0, output_interval=0.6)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -8 * 15 * v - 15**2 * (x - 1e-3))
+    y = model.state("y", "s", 0.0, "time above")
+    model.derivative(y, ca.if_else(x > 1e-3, 1, 0))
+    run = cosim.simulate(model.freeze(), solver="dop853")
+    assert run.final["x"] == pytest.approx(1e-3, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_input_that_moves_along_with_a_state_is_rejected_in_model_exchange(fmi):
+    model = cosim.Model("along", stop_time=1.0, output_interval=0.1)
+    u = model.input("u", "1", 0.0, "input")
+    x, y = model.state("x", "1", 0.0, "time"), model.state("y", "1", 0.0, "time of u >= x")
+    model.derivative(x, 1)
+    model.derivative(y, ca.if_else(u >= x, 1, 0))
+    dae = model.freeze()
+    assert run_on(f"fmu{fmi} cs fmpy", dae, inputs={"u": "t"}).final["y"] == pytest.approx(1)
+    for formula, right in {"0": 0, "t/2": 0, "2*t": 1}.items():
+        run = run_on(f"fmu{fmi} me fmpy", dae, inputs={"u": formula})
+        assert run.final["y"] == pytest.approx(right, abs=1e-9)
+    with pytest.raises(cosim.CosimError, match="use co-simulation, or compute it in the model"):
+        run_on(f"fmu{fmi} me fmpy", dae, inputs={"u": "t"})
