@@ -183,4 +183,4 @@ def test_a_file_for_another_platform_gets_a_remedy_that_its_user_has(tmp_path):
     bare = with_description(rewritten(own, tmp_path / "b.fmu", dict.fromkeys(libraries)),
                             tmp_path / "bare.fmu", other)  # fmt: skip
     with pytest.raises(FmuError, match=r"for no platform, none .*; compile its sources"):
-        try_apart(bare)
+        try_apart(bare, timeout=24.0)
