@@ -44,8 +44,8 @@ def body_fixed(axes: tuple[int, int, int], angles: SX, rates: SX) -> tuple[SX, S
 
 def from_quaternion(q: SX) -> SX:
     """Return R_AB of a unit quaternion (w, x, y, z), (4, 1)."""
-    if not isinstance(q, SX) or q.shape != (4, 1):
-        raise ValueError(f"{q} is no quaternion; give an SX of shape (4, 1): w, x, y, z")
+    if getattr(q, "shape", None) != (4, 1):
+        raise ValueError(f"{q} is no quaternion; give w, x, y and z, of shape (4, 1)")
     w, x, y, z = ca.vertsplit(q)
     return _rows(
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
