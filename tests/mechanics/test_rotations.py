@@ -101,5 +101,5 @@ def test_sequence_and_angles_of_different_length_are_refused():
 
 @pytest.mark.parametrize("wrong", [None, "x", [1, 0, 0, 0], 1.0, SX.zeros(3), SX.zeros(1, 4)])
 def test_what_is_no_quaternion_is_rejected(wrong):
-    with pytest.raises(ValueError, match=r"is no quaternion; give w, x, y and z, of shape \(4, 1\)"):
+    with pytest.raises(ValueError, match=r"no quaternion; give w, x, y and z, of shape \(4, 1\)"):
         ro.from_quaternion(wrong)
