@@ -22,6 +22,7 @@ from casadi_models.dae.inner_terms import (
     inner_terms,
     inner_terms_of_several,
 )
+from casadi_models.dae.single_terms import in_postorder
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
@@ -290,6 +291,12 @@ def localized_inverses(dae: Dae) -> SX:
     return ca.vertcat(SX(0, 1), *(s.value for s in every if _changes_of_several(dae, s, p)))
 
 
+def _calls_table(term: SX) -> bool:
+    """Return whether a term calls a table."""
+    calls = (value for _, value, _ in in_postorder([term]) if value.op() == ca.OP_CALL)
+    return any("Interpolant" in call.which_function().class_name() for call in calls)
+
+
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
     """Return where a term of several quantities may move; None if unknown.
 
@@ -305,7 +312,7 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends, dae.p)
     if within is None:
-        return None
+        return None if _calls_table(several.value) else []
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
     def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:
