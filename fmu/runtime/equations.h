@@ -65,7 +65,7 @@ typedef int Equation(const double **arg, double **res, long long *iw, double *w,
    need, the other numbers what the runtime passes. */
 enum {
     ROOM_OF_ARG = WORK_ARG > 9 ? WORK_ARG : 9,
-    ROOM_OF_RES = WORK_RES > 4 ? WORK_RES : 4,
+    ROOM_OF_RES = WORK_RES > 5 ? WORK_RES : 5,
     ROOM_OF_IW = WORK_IW > 1 ? WORK_IW : 1,
     ROOM_OF_W = WORK_W > 1 ? WORK_W : 1
 };
