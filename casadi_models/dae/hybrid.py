@@ -19,7 +19,7 @@ from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import RELATIONS, column, implicit_change, operations
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, term_sizes
+from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, mode_inputs, term_sizes
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
 from casadi_models.dae.variables import Variable
 
@@ -203,7 +203,7 @@ class Hybrid:
         dae = replace(
             self.dae,
             u=ca.densify(ca.vertcat(self.dae.u, *modes)),
-            inputs=(*self.dae.inputs, *_mode_inputs(more, first)),
+            inputs=(*self.dae.inputs, *mode_inputs(more, first)),
         )
         return replace(self, dae=dae, relations=relations, of_time=tuple(_of_time(dae, relations)))
 
@@ -449,7 +449,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     relations = laws.relations
     if not relations and not dae.events:
         return None
-    more = _mode_inputs(relations)
+    more = mode_inputs(relations)
     smooth = replace(
         dae,
         u=ca.densify(ca.vertcat(dae.u, *laws.modes)),
@@ -465,30 +465,6 @@ def hybrid(dae: Dae) -> Hybrid | None:
         for event, condition, own in zip(dae.events, ca.vertsplit(conditions), values, strict=True)
     )
     return Hybrid(smooth, tuple(relations), events, tuple(_of_time(smooth, relations)))
-
-
-@dataclass(frozen=True)
-class Mode(Variable):
-    """An input of frozen equations that is the mode of a relation.
-
-    Attributes:
-        is_sign: Whether it is -1 or 1, but for rest at 0, and not an integer.
-    """
-
-    is_sign: bool = True
-
-
-def _mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Mode, ...]:
-    return tuple(
-        Mode(
-            name=f"mode_{first + i + 1}",
-            unit="1",
-            meaning=f"mode of {relation.operation}",
-            start=1.0,
-            is_sign=not relation.floor,
-        )
-        for i, relation in enumerate(relations)
-    )
 
 
 def _of_time(dae: Dae, relations: Sequence[Relation]) -> list[bool]:

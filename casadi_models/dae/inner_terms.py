@@ -12,8 +12,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.hybrid import Mode
-from casadi_models.dae.relations import applied, called
+from casadi_models.dae.relations import applied, called, mode_count
 from casadi_models.dae.single_terms import SUMS, in_postorder, several_terms, single_terms
 
 
@@ -82,8 +81,7 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
     columns = dae.x, dae.t, dae.z, dae.u
     moving = [symbol for column in columns for symbol in ca.vertsplit(column)]
-    modes = sum(isinstance(variable, Mode) for variable in dae.inputs)
-    moving = moving[: len(moving) - modes]  # a mode does not move: it jumps
+    moving = moving[: len(moving) - mode_count(dae)]  # a mode does not move: it jumps
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
     known, found = {*places, *symbols(dae.p)}, list[SeveralInner]()
     resting, inverse = map(ca.vertsplit, several_terms(dae))

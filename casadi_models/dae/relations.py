@@ -13,6 +13,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import RELATIONS, column, operations
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.variables import Variable
 
 COMPARISONS = ("<", "<=")
 _COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
@@ -44,6 +45,36 @@ class Relation:
     floor: bool
     at_zero: int
     operation: str
+
+
+@dataclass(frozen=True)
+class Mode(Variable):
+    """An input of frozen equations that is the mode of a relation.
+
+    Attributes:
+        is_sign: Whether it is -1 or 1, but for rest at 0, and not an integer.
+    """
+
+    is_sign: bool = True
+
+
+def mode_inputs(relations: Sequence[Relation], first: int = 0) -> tuple[Mode, ...]:
+    """Return the inputs that are the modes of relations, numbered from a position on."""
+    return tuple(
+        Mode(
+            name=f"mode_{first + i + 1}",
+            unit="1",
+            meaning=f"mode of {relation.operation}",
+            start=1.0,
+            is_sign=not relation.floor,
+        )
+        for i, relation in enumerate(relations)
+    )
+
+
+def mode_count(dae: Dae) -> int:
+    """Return how many inputs of a model, the last ones, are modes."""
+    return sum(isinstance(variable, Mode) for variable in dae.inputs)
 
 
 class LawsWithModes:

@@ -9,7 +9,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.hybrid import Mode
+from casadi_models.dae.relations import Mode
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere

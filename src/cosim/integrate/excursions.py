@@ -13,7 +13,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.hybrid import Mode
+from casadi_models.dae.relations import mode_count
 from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Vector
@@ -55,8 +55,8 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
     moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
     values, known, names, unbounded = (list[Any]() for _ in range(4))
-    modes = sum(isinstance(variable, Mode) for variable in dae.inputs)  # the last inputs
-    own = {symbol.element_hash() for symbol in ca.vertsplit(moving)[: moving.numel() - modes]}
+    own_rows = ca.vertsplit(moving)[: moving.numel() - mode_count(dae)]
+    own = {symbol.element_hash() for symbol in own_rows}
     for term in ca.vertsplit(column):
         symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
         name = ", ".join(symbol.name() for symbol in symbols)
