@@ -79,11 +79,9 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
         if node.moving != _MANY or size > _MOST_OPERATIONS or not operands:
             continue
         if code in _RESTING and operands[-1].moving != _NONE:
-            called = value.get_output(0) if code == ca.OP_CALL else None
-            if called is None:
-                resting.append(value)
-            elif not _in_each_mode(dae, called):
-                resting.append(called)
+            term = value if code != ca.OP_CALL else value.get_output(0)
+            if code != ca.OP_CALL or not _in_each_mode(dae, term):
+                resting.append(term)
         elif code == ca.OP_INV or (code in _STAYS and operands[_STAYS[code]].moving == _NONE):
             inverse.append(value)
     return column(resting), column(inverse)

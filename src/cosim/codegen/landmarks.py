@@ -153,7 +153,7 @@ def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
     found, unknown = list[_Change](), set[int]()
     for term in inner_terms(dae):
         knots = knots_of(term)
-        of_tables = all("Interpolant" in table.class_name() for table, _ in term.tables)
+        of_tables = all(_is_table(function) for function, _ in term.tables)
         if term.tables and of_tables and not len(knots):
             unknown.update(term.movers)
         found += _changes(dae, term, knots, p) or _changes_in_waves(dae, term, p)
@@ -270,10 +270,8 @@ def _bent(
     elif len(knots) > 1:
         found = changes_between(values, knots)
     else:
-        found = unseen(reach)
-    if not (found.is_whole or len(found.pinched)):
-        found = unseen(reach)
-    return values, found
+        return values, unseen(reach)
+    return values, found if found.is_whole or len(found.pinched) else unseen(reach)
 
 
 def _change(term: InnerTerm, at: Vector, seen: Vector, found: Changes, is_step: bool) -> _Change:
@@ -294,7 +292,11 @@ def localized_inverses(dae: Dae) -> SX:
 def _calls_table(term: SX) -> bool:
     """Return whether a term calls a table."""
     calls = (value for _, value, _ in in_postorder([term]) if value.op() == ca.OP_CALL)
-    return any("Interpolant" in call.which_function().class_name() for call in calls)
+    return any(_is_table(call.which_function()) for call in calls)
+
+
+def _is_table(function: ca.Function) -> bool:
+    return "Interpolant" in function.class_name()
 
 
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
