@@ -176,6 +176,12 @@ def work_sizes(code: str) -> str:
     return "".join(f"#define WORK_{kind.upper()} {size}\n" for kind, size in most.items())
 
 
+def generated_with_sizes(name: str, *functions: ca.Function) -> str:
+    """Return what `generated` does, after definitions of the work space that is enough."""
+    code = generated(name, *functions)
+    return work_sizes(code) + code
+
+
 def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:
     """Return the key of a compiled function in the cache; the same key means the same code."""
     digest = hashlib.sha256(b"\0".join((function.serialize().encode(), *more))).hexdigest()

@@ -6,7 +6,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated, sources_beside, work_sizes
+from cosim.codegen.casadi_library import cache_key, generated_with_sizes, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
 from cosim.codegen.hybrid_laws import law_functions, law_sizes, law_tables
@@ -79,8 +79,7 @@ def kernel_library(system: Hybrid) -> str:
     after = solver_source("instants.h") + text.tables
 
     def generate() -> str:
-        code = generated("laws", *text.functions)
-        return f"{before}{work_sizes(code)}{code}\n{after}"
+        return f"{before}{generated_with_sizes('laws', *text.functions)}\n{after}"
 
     key = cache_key("kernel", text.functions[0], text.digest, after.encode())
     return str(cached_library(key, generate, sources_beside(*text.functions)))

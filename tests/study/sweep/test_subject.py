@@ -102,3 +102,28 @@ def test_a_scene_with_an_accuracy_is_rejected(tmp_path):
     scene.write_text('title = "x"\nmodel = "crank_shaft"\n[run]\naccuracy = 1e-6\n')
     with pytest.raises(UsageError, match="no accuracy"):
         open_subject(scene)
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array])
+def test_output_times_may_be_an_array(kind):
+    times = kind([0.5, 1.0])
+    found = cosim.sweep(
+        "crank_shaft", {"omega": [40.0, 50.0]}, outputs=["phi"], output_times=times, workers=0
+    )
+    assert found["phi_final"] == pytest.approx([45, 55])  # omega t + alpha t^2 / 2
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("output_times", np.array([])),
+        ("output_times", np.full(3, np.nan)),
+        ("output_times", casadi.SX.sym("t")),
+        ("samples", casadi.DM()),
+    ],
+    ids=["empty", "nan", "symbol", "table"],
+)
+def test_argument_that_is_no_array_of_numbers_is_rejected(name, wrong):
+    values = None if name == "samples" else {"omega": [40.0]}
+    with pytest.raises(UsageError, match=name):
+        cosim.sweep("crank_shaft", values, workers=0, **{name: wrong})

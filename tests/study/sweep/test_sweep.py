@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 import pytest
-from casadi import DM, SX
 from helpers import event_models
 from helpers.fmu_files import remove, with_description
 from helpers.foreign_part import foreign_part
@@ -375,31 +374,6 @@ def test_wrong_arguments_are_rejected_before_any_run(growth):
         cosim.sweep(growth, {"rate": [1.0]}, scheduler="tcp://127.0.0.1:1", workers=2)
     with pytest.raises(UsageError, match="no store to resume"):
         cosim.sweep(growth, {"rate": [1.0]}, resume=True)
-
-
-@pytest.mark.parametrize("kind", [list, tuple, np.array])
-def test_output_times_may_be_an_array(kind):
-    times = kind([0.5, 1.0])
-    found = cosim.sweep(
-        "crank_shaft", {"omega": [40.0, 50.0]}, outputs=["phi"], output_times=times, workers=0
-    )
-    assert found["phi_final"] == pytest.approx([45, 55])  # omega t + alpha t^2 / 2
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        ("output_times", np.array([])),
-        ("output_times", np.full(3, np.nan)),
-        ("output_times", SX.sym("t")),
-        ("samples", DM()),
-    ],
-    ids=["empty", "nan", "symbol", "table"],
-)
-def test_argument_that_is_no_array_of_numbers_is_rejected(name, wrong):
-    values = None if name == "samples" else {"omega": [40.0]}
-    with pytest.raises(UsageError, match=name):
-        cosim.sweep("crank_shaft", values, workers=0, **{name: wrong})
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated, sources_beside, work_sizes
+from cosim.codegen.casadi_library import cache_key, generated_with_sizes, sources_beside
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.functions import dense
 from cosim.codegen.kernel_library import NO_LAWS, LawText
@@ -71,8 +71,8 @@ def explicit_library(
     after = _solver_text(method, project, watch, laws)
 
     def generate() -> str:
-        code = generated("equations", rhs, *others, *laws.functions)
-        return f"{before}{work_sizes(code)}{code}\n{after}"
+        code = generated_with_sizes("equations", rhs, *others, *laws.functions)
+        return f"{before}{code}\n{after}"
 
     details = "".join((before, after, *(f.serialize() for f in (*others, *laws.functions))))
     key = cache_key(f"explicit {name}", rhs, details.encode())

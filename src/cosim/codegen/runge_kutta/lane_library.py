@@ -14,7 +14,7 @@ from casadi_models.dae.expressions import operations
 from casadi_models.dae.time_bounds import limit_enclosures
 from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import generated, work_sizes
+from cosim.codegen.casadi_library import generated_with_sizes
 from cosim.codegen.compiler import cached_library, processor_abilities
 from cosim.codegen.functions import hoisted_rows
 from cosim.codegen.initialization import start_function
@@ -211,8 +211,7 @@ def _lane_bounds(dae: Dae, needed: Sequence[int]) -> _LaneBounds:
 
 def _start_text(dae: Dae) -> str:
     """Return the C text of the initial values of a run, for lanes_start.h."""
-    code = generated("start", start_function(dae))
-    return code + work_sizes(code)
+    return generated_with_sizes("start", start_function(dae))
 
 
 @cache
