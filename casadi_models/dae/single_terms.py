@@ -57,9 +57,10 @@ def single_terms(dae: Dae) -> dict[int, SX]:
     for term in _terms(dae):
         if term.is_local:
             found.setdefault(term.moving, []).append(term.value)
-    for table in _called(dae):
-        for moving, value in _in_each_mode(dae, table):
-            found.setdefault(moving, []).append(value)
+    for node, _ in _nodes(dae):
+        if node.moving == _MANY and node.value.op() == ca.OP_CALL:
+            for moving, value in _in_each_mode(dae, node.value.get_output(0)):
+                found.setdefault(moving, []).append(value)
     return {i: ca.densify(ca.vertcat(*group)) for i, group in sorted(found.items())}
 
 
@@ -85,15 +86,6 @@ def several_terms(dae: Dae) -> tuple[SX, SX]:
         elif code == ca.OP_INV or (code in _STAYS and operands[_STAYS[code]].moving == _NONE):
             inverse.append(value)
     return column(resting), column(inverse)
-
-
-def _called(dae: Dae) -> list[SX]:
-    """Return the results of called functions that several quantities move."""
-    return [
-        node.value.get_output(0)
-        for node, _ in _nodes(dae)
-        if node.moving == _MANY and node.value.op() == ca.OP_CALL
-    ]
 
 
 def _in_each_mode(dae: Dae, term: SX) -> list[tuple[int, SX]]:

@@ -244,9 +244,8 @@ def _reach(dae: Dae, term: InnerTerm, p: Vector) -> Vector:
     if bounds is None:
         return np.array([-np.inf, np.inf])
     far = np.full(moving.numel(), _ANYWHERE)
-    return np.array(
-        ca.Function("reach", [*ends, dae.p], [ca.vertcat(*bounds)])(-far, far, p)
-    ).ravel()
+    reach = ca.Function("reach", [*ends, dae.p], [ca.vertcat(*bounds)])
+    return np.array(reach(-far, far, p)).ravel()
 
 
 def _bent(

@@ -55,8 +55,7 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
     moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
     values, known, names, unbounded = (list[Any]() for _ in range(4))
-    own_rows = ca.vertsplit(moving)[: moving.numel() - mode_count(dae)]
-    own = {symbol.element_hash() for symbol in own_rows}
+    own = {s.element_hash() for s in ca.vertsplit(moving)[: moving.numel() - mode_count(dae)]}
     for term in ca.vertsplit(column):
         symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
         name = ", ".join(symbol.name() for symbol in symbols)
