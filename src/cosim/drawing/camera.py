@@ -12,7 +12,6 @@ from casadi_models.dae.drawing import World
 from cosim.arrays import Vector
 from cosim.drawing.meshes import mesh_of
 from cosim.drawing.pose import Load, Poses
-from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
 PEAK = 4.0  # times the usual load of a unit that an arrow shows; larger ones are as long
@@ -122,7 +121,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         for solid in run.solids:
             vertices = mesh_of(solid).vertices
             corners = vertices[np.unique((vertices @ OUTWARD.T).argmax(axis=0))]
-            turns = to_matrices(run.quaternions[stations, solid.body])
+            turns = run.rotations[stations, solid.body]
             places = corners @ turns.swapaxes(1, 2) + run.places[stations, solid.body, None]
             clouds.append(places - shift[stations, None])
         cloud = np.concatenate(clouds, axis=1)

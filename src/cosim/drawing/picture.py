@@ -18,7 +18,6 @@ from cosim.colors import INVALID, INVALID_BODY
 from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera_for, scale_of
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
-from cosim.drawing.rotation import to_matrices
 from cosim.plotting import Picture
 
 SIZE = (6.4, 4.8)  # of a picture, inches
@@ -96,8 +95,8 @@ class Stage:
                 pale = _PALE if i else _PALE * (1 - k / (len(frames) - 1)) if len(frames) > 1 else 0
                 invalid = run.time[frame] >= run.invalid_from
                 for body, mesh, color in parts:
-                    turn = to_matrices(run.quaternions[frame, body])
-                    placed = mesh.moved(run.places[frame, body] + self.moved[i][frame], turn)
+                    place = run.places[frame, body] + self.moved[i][frame]
+                    placed = mesh.moved(place, run.rotations[frame, body])
                     add(placed, _rgb(INVALID_BODY) if invalid else color, pale)
                 for load in run.loads if i == 0 else ():
                     ends = self.scale.arrow(load, frame)

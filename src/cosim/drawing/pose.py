@@ -14,7 +14,6 @@ from casadi_models.dae.scenery import DARK
 from casadi_models.units import convert
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import usual_start
-from cosim.drawing.rotation import continuous, onto, to_matrices, to_quaternions
 from cosim.errors import UsageError
 from cosim.series.samples import resample
 
@@ -35,7 +34,7 @@ class Solid:
         kind: A key of `casadi_models.dae.drawing.SIZES`.
         size: The numbers that `SIZES` names, m.
         at: Its center in the body's axes, m, (3,).
-        rotation: Rotation of its axes in the body's axes, (3, 3).
+        along: Its third axis in the body's axes, (3,).
         color: "#rrggbb".
     """
 
@@ -44,7 +43,7 @@ class Solid:
     kind: str
     size: tuple[float, ...]
     at: Vector
-    rotation: Vector
+    along: Vector
     color: str
 
 
@@ -88,8 +87,7 @@ class Poses:
         time: Times of the frames, s, (n,).
         bodies: Names of the bodies; the first is the world.
         places: Origins of the bodies, m, (n, bodies, 3).
-        quaternions: Unit quaternions (w, x, y, z), body to world, (n, bodies, 4); without jumps
-            of sign.
+        rotations: Rotation matrices, body to world, (n, bodies, 3, 3).
         solids: Shapes of the bodies.
         loads: Forces and torques.
         paths: Paths of points.
@@ -105,7 +103,7 @@ class Poses:
     time: Vector
     bodies: tuple[str, ...]
     places: Vector
-    quaternions: Vector
+    rotations: Vector
     solids: tuple[Solid, ...]
     loads: tuple[Load, ...]
     paths: tuple[Path, ...]
@@ -134,7 +132,7 @@ class Poses:
             raise UsageError(f"{self.title}: no body '{name}' to follow; there are {known}")
         body = self.bodies.index(name)
         middle = self.middle_of(body)
-        place = self.places[:, body] + to_matrices(self.quaternions[:, body]) @ middle
+        place = self.places[:, body] + self.rotations[:, body] @ middle
         up = np.array(self.world.up)
         start = place - place[0]
         along: Vector = start - np.outer(start @ up, up)  # the ground keeps its height
@@ -227,7 +225,6 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
     Loads and paths without values are left out and noted.
     """
     rows = values.evaluate(motion(drawing), times).reshape(len(times), -1, 12)
-    matrices = rows[:, :, 3:].reshape(len(times), -1, 3, 3).swapaxes(2, 3)  # CasADi: by columns
     notes: list[str] = []
 
     def available(name: str, expression: SX) -> bool:
@@ -251,7 +248,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
         time=times,
         bodies=tuple(names),
         places=rows[:, :, :3],
-        quaternions=continuous(to_quaternions(matrices)),
+        rotations=rows[:, :, 3:].reshape(len(times), -1, 3, 3).swapaxes(2, 3),  # CasADi: by columns
         solids=tuple(_solid(shape, names, values) for shape in drawing.shapes),
         loads=tuple(loads),
         paths=tuple(paths),
@@ -263,7 +260,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
 def _solid(shape: Shape, bodies: Sequence[str], values: Values) -> Solid:
     size, at, along = (values.first(part).ravel() for part in (shape.size, shape.at, shape.along))
     body = bodies.index(shape.body)
-    return Solid(shape.name, body, shape.kind, tuple(size.tolist()), at, onto(along), shape.color)
+    return Solid(shape.name, body, shape.kind, tuple(size.tolist()), at, along, shape.color)
 
 
 @dataclass(frozen=True)
@@ -316,13 +313,12 @@ def start_pose(dae: Dae) -> StartPose | None:
         poses = poses_at(bodies, values, values.time)
     signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
     merged = tuple(_merged(signs, [v.name for v in dae.variables]))
-    numbers = [poses.places, poses.quaternions, *(sign.at for sign in merged)]
+    numbers = [poses.places, poses.rotations, *(sign.at for sign in merged)]
     numbers += [part for solid in poses.solids for part in (np.array(solid.size), solid.at)]
     if not all(np.isfinite(part).all() for part in numbers):
         return None
-    turned = to_matrices(poses.quaternions[0])
     frames = tuple(
-        (body.name, poses.places[0, i], turned[i])
+        (body.name, poses.places[0, i], poses.rotations[0, i])
         for i, body in enumerate(drawing.bodies)
         if ca.symvar(body.rotation)
         and any(solid.body == i for solid in poses.solids)
