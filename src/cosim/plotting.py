@@ -68,8 +68,7 @@ def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> s
     if not reasons:
         return ""
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-    what = getattr(reasons[0], "what", reasons[0])
-    text = f"shaded: invalid from {invalid_from:.3g} s: {what}{more}"
+    text = f"shaded: invalid from {invalid_from:.3g} s: {reasons[0]}{more}"
     return fill(text, int(width * 14), max_lines=5, placeholder=" ...")
 
 

@@ -130,11 +130,12 @@ class Trajectory:
 
     @property
     def validity(self) -> tuple[float, tuple[str, ...]]:
-        """Time from which the run is invalid, s (infinite if it is valid), and the reasons."""
-        reasons = tuple(self.stats.get("invalid", ()))
+        """Time from which the run is invalid, s (infinite if it is valid), and what is wrong."""
+        found = self.stats.get("invalid", ())
+        reasons = tuple(getattr(text, "what", text) for text in found)
         if not len(self):
             return inf, reasons
-        times = (getattr(text, "time", float(self.time[0])) for text in reasons)
+        times = (getattr(text, "time", float(self.time[0])) for text in found)
         start = float(self.stats.get("invalid_from", min(times, default=inf)))
         if self.complete:
             return start, reasons

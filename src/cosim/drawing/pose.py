@@ -163,8 +163,7 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
     for run in runs:
         if run.reasons and run.time[frame] >= run.invalid_from:
             owner = f"{run.title}: " if len(runs) > 1 else ""
-            why = getattr(run.reasons[0], "what", run.reasons[0])
-            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {why}")
+            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {run.reasons[0]}")
     return " | ".join(found)
 
 

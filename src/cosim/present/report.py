@@ -85,7 +85,7 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    why = html.escape("; ".join(getattr(reason, "what", reason) for reason in reasons))
+    why = html.escape("; ".join(reasons))
     return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
 
 

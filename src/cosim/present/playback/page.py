@@ -206,7 +206,7 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
         "shapes": [number for shape in shapes for number in shape],
         "events": [[event.time, event.name] for event in run.events],
         "invalid_from": played.invalid_from if isfinite(played.invalid_from) else None,
-        "reasons": [getattr(reason, "what", reason) for reason in played.reasons],
+        "reasons": played.reasons,
         "stopped": run.status != "complete",
     }
 
