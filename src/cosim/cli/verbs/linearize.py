@@ -20,8 +20,7 @@ from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.linearize.linearization import Linearization, Mode
-from cosim.study.linearize.linearize import linearize
-from cosim.study.linearize.point import EQUILIBRIUM, START
+from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 from cosim.text import csv_text
 
 
