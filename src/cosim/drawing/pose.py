@@ -168,36 +168,28 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
 
 
 class Values:
-    """Values of variables by name: series over time, and constants.
+    """Values of variables over time.
 
     Args:
-        time: Sample times of the series, s, (n,).
-        series: Samples by name, SI, (n,) each.
-        constants: Constants by name, SI.
+        time: Sample times, s, (n,).
+        samples: By name, SI: samples, (n,), or a constant.
     """
 
-    def __init__(
-        self, time: Vector, series: Mapping[str, Vector], constants: Mapping[str, float]
-    ) -> None:
-        self.time, self.series, self.constants = time, series, constants
+    def __init__(self, time: Vector, samples: Mapping[str, Vector | float]) -> None:
+        self.time = time
+        self._samples = {name: np.broadcast_to(own, len(time)) for name, own in samples.items()}
 
     def missing(self, expression: SX) -> list[str]:
         """Return the names of an expression's variables that have no value."""
         names = dict.fromkeys(symbol.name() for symbol in ca.symvar(expression))
-        return [name for name in names if name not in self.series and name not in self.constants]
+        return [name for name in names if name not in self._samples]
 
     def at(self, names: Sequence[str], times: Vector) -> Vector:
         """Return the values of variables, (len(names), len(times)), interpolated by `resample`."""
-        rows = np.empty((len(names), len(times)))
-        moving = [i for i, name in enumerate(names) if name in self.series]
-        if moving:
-            samples = np.column_stack([self.series[names[i]] for i in moving])
-            same = np.array_equal(times, self.time)
-            rows[moving] = (samples if same else resample(self.time, samples, times)[0]).T
-        for i, name in enumerate(names):
-            if name not in self.series:
-                rows[i] = self.constants[name]
-        return rows
+        samples = np.array([self._samples[name] for name in names])
+        samples = samples.reshape(len(names), len(self.time)).T
+        same = np.array_equal(times, self.time)
+        return (samples if same else resample(self.time, samples, times)[0]).T
 
     def evaluate(self, expression: SX, times: Vector) -> Vector:
         """Return the elements of an expression, column by column, (times, elements)."""
@@ -307,7 +299,7 @@ def start_pose(dae: Dae) -> StartPose | None:
     bodies = replace(drawing, arrows=(), traces=())
     parts = [motion(drawing), *(a.at for a in drawing.arrows), *(a.vector for a in drawing.arrows)]
     unknown = dict.fromkeys((symbol.name() for symbol in ca.symvar(ca.vertcat(*parts))), 0.0)
-    values = Values(np.zeros(1), {}, unknown | dict(drawing.numbers) | _start_values(dae))
+    values = Values(np.zeros(1), unknown | dict(drawing.numbers) | _start_values(dae))
     with np.errstate(invalid="ignore"):  # not a number: returned as None
         poses = poses_at(bodies, values, values.time)
     signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
