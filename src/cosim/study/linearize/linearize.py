@@ -2,8 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from typing import TypedDict, Unpack, overload
 
 import numpy as np
@@ -20,13 +18,12 @@ from cosim.model.values import Values, assign, number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
 from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.local import at_point, followed, influence, local_system
+from cosim.study.linearize.local import local_system
 from cosim.study.linearize.of_fmu import linearized_fmu
 from cosim.study.linearize.period import period_of
 from cosim.study.linearize.period_map import ACCURACY, PeriodMap
 
 START, EQUILIBRIUM = "start", "equilibrium"
-AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
 
 
 class PointKeywords(TypedDict, total=False):
@@ -152,22 +149,8 @@ def _linearized(
     if period is not None:
         over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
     if at == EQUILIBRIUM:
-        motion = partial(_motion, dae, values, over)
-        depends, kind, accuracy = influence(dae), "equilibrium", AT_REST
-        if over is not None:
-            depends, kind, accuracy = over.influence, "periodic motion", ACCURACY / over.period
-        x, point = equilibrium(dae, x, values, motion, depends, kind, accuracy)
+        x, point = equilibrium(dae, x, values, over)
     return _linear_system(dae, names, time, x, values, point, over)
-
-
-def _motion(dae: Dae, values: Values, over: PeriodMap | None, x: Vector) -> tuple[Vector, Vector]:
-    """Return rates, or their mean over a period, and their derivatives by the states."""
-    if over is not None:
-        after = over(x)
-        return (after.x - x) / over.period, (after.by_x - np.eye(len(x))) / over.period
-    own, u, _ = followed(dae, 0.0, x, values)
-    rates, _, jacobian = at_point(own, (), 0.0, x, replace(values, u=u))
-    return rates, jacobian[: len(x), : len(x)]
 
 
 def _linear_system(
