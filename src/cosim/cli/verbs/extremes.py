@@ -6,7 +6,8 @@ import sys
 from cosim.cli.tables import draw, show_table, write_text
 from cosim.host.progress import doing
 from cosim.study.extremes import campaign
-from cosim.study.extremes.campaign import WRONG, CaseFinding
+from cosim.study.extremes.campaign import WRONG
+from cosim.study.extremes.oracles import CaseFinding
 from cosim.text import csv_text
 
 
@@ -29,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         write_text(args.output_file, csv_text(rows))
     draw(args, "extremes", findings)
     show_table(rows if args.json else campaign.family_rows(findings), as_json=args.json)
-    return 4 if any(finding.verdict.outcome in WRONG for finding in findings) else 0
+    return 4 if any(finding.outcome in WRONG for finding in findings) else 0
 
 
 def _report(finding: CaseFinding, count: str, *, every: bool) -> None:
