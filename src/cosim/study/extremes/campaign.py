@@ -90,7 +90,8 @@ def explore(
         if not hasattr(own, "worker"):
             own.worker = _CaseWorker(runner)
             workers.append(own.worker)
-        return own.worker.assess(case, LONGER * limit if case.long else limit)
+        worker: _CaseWorker = own.worker
+        return worker.assess(case, LONGER * limit if case.long else limit)
 
     pool = ThreadPoolExecutor(jobs)
     try:
