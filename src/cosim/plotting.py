@@ -4,7 +4,6 @@ import io
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -63,13 +62,12 @@ def shade_invalid(axis: Axes, time: Vector, invalid_from: float) -> None:
         axis.set_ylim(max(low, valid.min() - 0.5 * span), min(high, valid.max() + 0.5 * span))
 
 
-def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> str:
-    """Return the caption of an invalid span, in lines for a width in inches."""
+def invalid_text(invalid_from: float, reasons: Sequence[str]) -> str:
+    """Return the caption of an invalid span; "" without reasons."""
     if not reasons:
         return ""
     more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-    text = f"shaded: invalid from {invalid_from:.3g} s: {reasons[0]}{more}"
-    return fill(text, int(width * 14), max_lines=5, placeholder=" ...")
+    return f"shaded: invalid from {invalid_from:.3g} s: {reasons[0]}{more}"
 
 
 def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:
