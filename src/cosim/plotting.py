@@ -62,14 +62,6 @@ def shade_invalid(axis: Axes, time: Vector, invalid_from: float) -> None:
         axis.set_ylim(max(low, valid.min() - 0.5 * span), min(high, valid.max() + 0.5 * span))
 
 
-def invalid_text(invalid_from: float, reasons: Sequence[str]) -> str:
-    """Return the caption of an invalid span; "" without reasons."""
-    if not reasons:
-        return ""
-    more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-    return f"shaded: invalid from {invalid_from:.3g} s: {reasons[0]}{more}"
-
-
 def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:
     """Widen the range around constant curves, whose numerical errors would fill the panel.
 

@@ -23,7 +23,6 @@ from cosim.plotting import (
     LINES,
     STYLE,
     Picture,
-    invalid_text,
     keep_constant_flat,
     reject_formulas,
     shade_invalid,
@@ -384,7 +383,9 @@ def _name_invalid(
         start, reasons = run.validity
         for axis in rows:
             shade_invalid(axis, run.time, start)
-        if text := invalid_text(start, reasons):
+        if reasons:
+            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+            text = f"shaded: invalid from {start:.3g} s: {reasons[0]}{more}"
             text = f"{label}, {text}" if len(runs) > 1 else text
             letters = int(figure.get_figwidth() * 15)
             captions.append(fill(text, letters, max_lines=4, placeholder=" ..."))
