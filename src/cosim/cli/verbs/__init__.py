@@ -35,12 +35,13 @@ def _read() -> dict[str, Verb]:
         tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
         for name in ("options.toml", "verbs.toml")
     )
-    found = {}
+    found, section = {}, ""
     for verb, table in verbs.items():
+        section = table.get("section", section)
         names = _single([*table["options"], "common"], shared["sets"])
         options = {name: _option(name, table, shared) for name in names}
         examples, exclusive = (tuple(table.get(key, ())) for key in ("examples", "exclusive"))
-        found[verb] = Verb(table["section"], table["summary"], examples, options, exclusive)
+        found[verb] = Verb(section, table["summary"], examples, options, exclusive)
     return found
 
 
