@@ -54,8 +54,9 @@ def _single(names: Sequence[str], sets: Mapping[str, Sequence[str]]) -> Iterator
 def _option(name: str, own: Tables, shared: Tables) -> Tables:
     """Return the fields of an option: the shared ones, and those that a verb replaces."""
     topic = next(t for t in _TOPICS if name in own.get(t, ()) or name in shared[t])
-    fields = {**shared[topic].get(name, {}), **own.get(topic, {}).get(name, {})}
-    return fields | {"topic": topic}
+    fields = {**shared[topic].get(name, {}), **own.get(topic, {}).get(name, {}), "topic": topic}
+    texts = own.get("help", {})
+    return fields | {"help": texts[name]} if name in texts else fields
 
 
 VERBS = _read()
