@@ -60,7 +60,7 @@ def draw_panels(run: Trajectory) -> Figure:
     for axis in axes[len(run.names) :]:
         axis.set_visible(False)
     figure.suptitle(head, fontsize=11)
-    _name_invalid(figure, axes[: len(run.names)], [run], [run.model])
+    _name_invalid(figure, [*axes[: len(run.names)]], [run], [run.model])
     return figure
 
 
