@@ -163,8 +163,8 @@ def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
     for unit in dict.fromkeys(load.unit for run in runs for load in run.loads):
         sizes: list[float] = []
         for run in runs:
-            loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
-            sizes += np.max(loads, axis=0).tolist() if loads else []
+            loads = [load.vector[run.valid] for load in run.loads if load.unit == unit]
+            sizes += np.linalg.norm(loads, axis=2).max(axis=0).tolist() if loads else []
         most = max((size for size in sizes if size > 0), default=0.0)
         acting = [size for size in sizes if size > NOTHING * most] or [0.0]
         found[unit] = min(most, PEAK * float(np.quantile(acting, USUAL, method="lower")))

@@ -13,6 +13,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from casadi_models.units import convert
 from cosim.arrays import Vector
 from cosim.colors import INVALID, INVALID_BODY
 from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera_for, scale_of
@@ -188,7 +189,8 @@ class Stage:
             if per_unit:
                 load = next(load for run in self.runs for load in run.loads if load.unit == unit)
                 length = LONGEST_ARROW * self.scale.pose
-                parts.append(f"{length:.2g} m for {load.shown(length / per_unit)}")
+                size = convert(length / per_unit, load.unit, load.display_unit)
+                parts.append(f"{length:.2g} m for {size:.3g} {load.display_unit}")
         return f"arrows: {', '.join(parts)}" if parts else ""
 
 

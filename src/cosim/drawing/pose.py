@@ -11,7 +11,6 @@ from casadi import SX
 from casadi_models.dae import Dae, Drawing
 from casadi_models.dae.drawing import WORLD, Body, Shape, World
 from casadi_models.dae.scenery import DARK
-from casadi_models.units import convert
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import usual_start
 from cosim.errors import UsageError
@@ -58,15 +57,6 @@ class Load:
     display_unit: str
     meaning: str
     color: str
-
-    def sizes(self, frames: Truths) -> Vector:
-        """Return the magnitudes at some of the frames, SI."""
-        sizes: Vector = np.linalg.norm(self.vector[frames], axis=1)
-        return sizes
-
-    def shown(self, magnitude: float) -> str:
-        """Return a magnitude in the display unit, as text."""
-        return f"{convert(magnitude, self.unit, self.display_unit):.3g} {self.display_unit}"
 
 
 @dataclass(frozen=True)
