@@ -154,6 +154,7 @@ static Status set_values(Instance *self, const Reference references[], size_t co
             self->state.guesses[references[i] - FIRST_STATE] = values[i];
         self->state.values[references[i]] = values[i];
         self->state.stale |= dependents(self);
+        if (variable->role == STATE) restart_solver(self);
     }
     reset_algebraics(self);
     if (!retuned) return OK;

@@ -174,3 +174,15 @@ def test_rates_of_outputs_at_an_event_count_no_input_that_was_asked_for(make):
     rate = reals(0.0)
     assert fmu("GetOutputDerivatives", fmu.refs("force"), 1, (c_int * 1)(1), rate, 1) == OK
     assert rate[0] in (pytest.approx(0), pytest.approx(-100))  # either side; -300 with that of u
+
+
+def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
+    fmu = make("ball", BALL, 1, 3, events=True).initialize({"stop": 2.0})
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.0, 0.125)[0] == OK
+    assert fmu("EnterEventMode") == OK
+    assert fmu.set(h=5.0, v=0.0) == OK
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.125, 0.125)[::2] == (OK, 0.25)
+    fallen = [5 - 9.81 * 0.125**2 / 2, -9.81 * 0.125]
+    assert fmu.get("h", "v") == pytest.approx(fallen, abs=1e-14)
