@@ -67,10 +67,12 @@ static Status do_step(Instance *self, double from, double length) {
     }
     const double reached = self->state.values[TIME];
     const Hint hint = limit_hint(self);
-    if (self->host.fmi_version == 3)
+    if (self->host.fmi_version == 3) {
         self->state = before;
-    else
+        self->state.stale |= JACOBIAN; /* it is not part of the state */
+    } else {
         self->state.mode = STEP_FAILED;
+    }
     return refuse(self, DISCARD, "the step from %.17g to %.17g came no further than %.17g%s%s", now,
                   end, reached, hint.joint, hint.limit);
 }

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.harness import ERROR, NAN, OK, reals
+from helpers.harness import DISCARD, ERROR, NAN, OK, reals
 from scipy.integrate import solve_ivp
 
 pytestmark = pytest.mark.parametrize("solver", ["dop853"], scope="session")
@@ -212,3 +212,21 @@ def test_an_input_that_is_not_finite_is_refused_and_keeps_its_value(fmi3):
     assert fmu.step(0.0, 1.0)[0] == OK
     assert "not finite" in fmu.said
     assert fmu.get("force") == [2.0]
+
+
+def test_a_discarded_step_leaves_no_derivatives_of_what_was_seen_within(fmi3):
+    """dw'/dq = -w / (2 sqrt(q + 10)) at the start, where q = w = 1."""
+
+    def column(fmu):
+        value = reals(NAN)
+        seed = fmu.refs("w_dot"), 1, fmu.refs("q"), 1, reals(1.0), 1
+        assert fmu("GetDirectionalDerivative", *seed, value, 1) == OK, fmu.said
+        return value[0]
+
+    watch = Watch(call=column)
+    fmu = watch.fmu = fmi3(1, update=watch)
+    fmu.initialize({"tolerance": 1e-8}, blow=1.0)  # s blows up at 1 s
+    start = pytest.approx(-1 / (2 * np.sqrt(11)), rel=1e-13)
+    assert column(fmu) == start
+    assert fmu.step(0.0, 2.0)[::2] == (DISCARD, 0.0)
+    assert column(fmu) == start
