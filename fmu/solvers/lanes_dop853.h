@@ -67,7 +67,9 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
             rate = norm(self, batch, self->k[0], self->x);
     const V least = every(1e-5);
     V h = pick((size > least) & (rate > least), every(0.01) * size / rate, every(1e-6));
-    h = smaller(h, every(span));
+    /* rounding leaves tiny states, whose size says nothing of steps */
+    const V shortest = every(1e-12 * fmax(fabs(batch->grid[0]), span));
+    h = smaller(larger(h, shortest), every(span));
     for (int i = 0; i < NX; ++i) self->end[i] = self->x[i] + h * self->k[0][i];
     slopes(self, self->t + h, self->end, self->k[1]);
     for (int i = 0; i < NX; ++i) self->sum[i] = self->k[1][i] - self->k[0][i];

@@ -364,3 +364,18 @@ def test_names_are_found_and_numbers_of_runs_are_words():
     )
     none = cosim.simulate_many(dae, {"omega": []}, output_times=[1.0], outputs=["phi"])
     assert repr(none).splitlines()[0] == "crank_shaft/driven: no runs, 1 time from 1 to 1 s"
+
+
+@pytest.mark.parametrize(("start", "stop"), [(10.0, 11.0), (0.0, 100.0)])
+def test_a_start_that_rounding_leaves_beside_0_says_nothing_of_steps(start, stop):
+    """x' = 1 + cos x from about 0: tan(x / 2) = t."""
+    model = Model("tiny", stop_time=1.0)
+    x = model.state("x", "1", 1e-18, "a state")
+    model.derivative(x, model.parameter("rate", "1/s", 1.0, "rate") * (1 + ca.cos(x)))
+    many = simulate_many(
+        model.freeze(), {"rate": [1.0, 2.0]}, start_time=start, stop_time=stop,
+        relative_tolerance=1e-9,
+    )  # fmt: skip
+    assert not many.reasons
+    exact = 2 * np.arctan((stop - start) * np.array([1.0, 2.0]))
+    assert many["x"][:, -1] == pytest.approx(exact, abs=1e-7)
