@@ -17,11 +17,11 @@ def make(tmp_path_factory):
     """Make instances of a model: 0 for model exchange, 1 for co-simulation."""
     libraries, made = {}, []
 
-    def instance(name, names, interface, version=2, **options):
+    def instance(name, names, interface, version=2, given=(), **options):
         key = name, version
         if key not in libraries:
             folder = tmp_path_factory.mktemp(name)
-            dae = getattr(event_models, name)()
+            dae = getattr(event_models, name)(*given)
             event_models.write(folder, dae, "dop853", fmi=version, most_trials=2000)
             libraries[key] = harness.library(folder, version, folder)
         kind = harness.Fmu2 if version == 2 else harness.Fmu3
@@ -186,3 +186,16 @@ def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
     assert fmu.step(0.125, 0.125)[::2] == (OK, 0.25)
     fallen = [5 - 9.81 * 0.125**2 / 2, -9.81 * 0.125]
     assert fmu.get("h", "v") == pytest.approx(fallen, abs=1e-14)
+
+
+def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_before_it(make):
+    """Steps of 0.1 s from -1 s add up to -1.4e-16 s."""
+    fmu = make("counting", ("time", "x", "n", "der(x)", "der(n)", "mode_1"), 1, given=[10])
+    fmu.initialize({"start": -1.0})
+    time = -1.0
+    for _ in range(10):
+        assert fmu.get("n") == [0]
+        assert fmu("DoStep", time, 0.1, 1) == OK
+        time += 0.1
+    assert -1e-15 < time < 0
+    assert fmu.get("time", "n") == [0, 1]
