@@ -201,6 +201,12 @@ static Status refresh(Instance *self, unsigned results) {
     return OK;
 }
 
+/* Whether all derivatives have a value. What is kept of a point goes into the FMU state. */
+static bool has_derivatives(Instance *self) {
+    return refresh(self, DERIVATIVES) == OK &&
+           all_finite(self->state.values + FIRST_DERIVATIVE, NX);
+}
+
 /* Check the validity conditions even if no output is read. */
 static void note_limits(Instance *self) {
     if (N_LIMITS > 0) refresh(self, OUTPUTS);
@@ -210,7 +216,7 @@ static void note_limits(Instance *self) {
    configurations, in models with a detector. */
 static void begin_watching(Instance *self) {
     note_limits(self);
-    if (HAS_RANK && refresh(self, DERIVATIVES) == OK) begin_watch(self);
+    if (HAS_RANK && has_derivatives(self)) begin_watch(self);
 }
 
 /* Return `status` if the model has passed a singular configuration since the last check, or if
@@ -218,7 +224,7 @@ static void begin_watching(Instance *self) {
 static Status look_back(Instance *self, Status status) {
     const bool exchange = self->state.interface == INTERFACE_ME;
     if (exchange && complete_step(self, status) != OK) return status;
-    return HAS_RANK && refresh(self, DERIVATIVES) == OK ? watch_rank(self, status) : OK;
+    return HAS_RANK && has_derivatives(self) ? watch_rank(self, status) : OK;
 }
 
 /* The margins of the limits at the present values, which need not be those of a solution. */

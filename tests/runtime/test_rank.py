@@ -144,3 +144,10 @@ def test_steps_of_dop853_pass_a_loss_and_others_are_discarded(watched, length):
         assert status == DISCARD
         assert reached == pytest.approx(0.8, abs=length)
         assert any("the constraints lose rank at time 0." in text for *_, text in fmu.messages)
+
+
+def test_a_step_to_where_derivatives_have_no_value_leaves_a_state_that_can_be_restored(me):
+    assert completed(me, 0.1, -20.0, 0.0) == OK  # the root of q + 10 has none
+    snapshot = me.take()
+    assert me(f"Set{me.state}", snapshot) == OK, me.said
+    assert completed(me, 0.2, 1.0, 0.0) == OK
