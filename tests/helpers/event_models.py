@@ -190,6 +190,18 @@ def left() -> Dae:
     return model.freeze()
 
 
+def pole() -> Dae:
+    """Return x' = -1 / y; n counts when |x| falls below 0.1."""
+    model = Model("pole", stop_time=1.0)
+    x, y = model.state("x", "1", 1.0, "a state"), model.state("y", "1", 1.0, "another")
+    n = model.discrete("n", "1", 0, "number")
+    model.derivative(x, -1 / y)
+    model.derivative(y, -0.5)
+    model.when(x * x < 0.01, {n: n + 1})
+    model.limit(x + 5, "x above -5")
+    return model.freeze()
+
+
 def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
     """Write the generated files of an exported model under the toy's GUID, and its solver's files.
 

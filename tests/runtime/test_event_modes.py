@@ -199,3 +199,15 @@ def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_bef
         time += 0.1
     assert -1e-15 < time < 0
     assert fmu.get("time", "n") == [0, 1]
+
+
+def test_an_infinite_rate_is_no_event_and_no_part_of_a_state(make):
+    fmu = make("pole", ("time", "x", "y", "n"), 0).initialize()
+    update(fmu)
+    assert fmu("EnterContinuousTimeMode") == OK
+    move(fmu, 0.5, 0.5, 0.0, 0.0)
+    indicators = reals(0.0, 0.0)
+    assert fmu("GetEventIndicators", indicators, 2) == OK
+    assert [*indicators] == pytest.approx([5.5, 0.5**2 - 0.01])
+    snapshot = fmu.take()
+    assert fmu("SetFMUstate", snapshot) == OK, fmu.said

@@ -98,7 +98,7 @@ static inline bool is_passing(const Switching *s, double t, int i, double inside
     const bool slow = !(slack <= SAME_TIME * way), moves = !slow || -rate > s->faint[i];
     const double noise = slow ? s->least[i] : slack;
     return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s) * way &&
-           noise <= SAME_TIME * way;
+           noise <= SAME_TIME * way && way < INFINITY;
 }
 
 /* Boundaries are where the author wrote them: what has been inside since its event is free. */
