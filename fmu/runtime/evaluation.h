@@ -220,10 +220,11 @@ static void begin_watching(Instance *self) {
 }
 
 /* Return `status` if the model has passed a singular configuration since the last check, or if
-   what slides is moved by an importer that does not tell how. */
+   what slides is moved by an importer that does not tell how; discard where that cannot be told. */
 static Status look_back(Instance *self, Status status) {
     const bool exchange = self->state.interface == INTERFACE_ME;
-    if (exchange && complete_step(self, status) != OK) return status;
+    const Status completed = exchange ? complete_step(self, status) : OK;
+    if (completed != OK) return completed;
     return HAS_RANK && has_derivatives(self) ? watch_rank(self, status) : OK;
 }
 

@@ -202,6 +202,15 @@ def pole() -> Dae:
     return model.freeze()
 
 
+def pushed_block() -> Dae:
+    """Return a block at rest, held by dry friction that has no value beyond 1 m."""
+    model = Model("pushed_block", stop_time=1.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, 1 - RATE * ca.sign(v) * ca.sqrt(1 - x))
+    return model.freeze()
+
+
 def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
     """Write the generated files of an exported model under the toy's GUID, and its solver's files.
 

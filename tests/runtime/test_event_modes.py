@@ -211,3 +211,15 @@ def test_an_infinite_rate_is_no_event_and_no_part_of_a_state(make):
     assert [*indicators] == pytest.approx([5.5, 0.5**2 - 0.01])
     snapshot = fmu.take()
     assert fmu("SetFMUstate", snapshot) == OK, fmu.said
+
+
+def test_a_step_that_is_completed_where_nothing_slides_any_more_is_discarded(make):
+    fmu = make("pushed_block", ("time", "x", "v", "der(x)", "der(v)", "mode_1"), 0).initialize()
+    update(fmu)
+    assert fmu.get("mode_1") == [pytest.approx(1 / 4)]
+    assert fmu("EnterContinuousTimeMode") == OK
+    move(fmu, 0.5, 2.0, 0.0)
+    flags = c_int(), c_int()
+    assert fmu("CompletedIntegratorStep", 1, *map(byref, flags)) == DISCARD
+    move(fmu, 0.5, 0.0, 0.0)
+    assert fmu("CompletedIntegratorStep", 1, *map(byref, flags)) == OK
