@@ -30,6 +30,15 @@ static void disarm(char *text) {
         if (*text == '%' || *text == '#' || (unsigned char)*text < ' ') *text = '?';
 }
 
+/* Leave out the last character of a full text, whose last bytes may be missing. */
+static void end_whole(char *text) {
+    size_t size = strlen(text);
+    if (size < TEXT_SIZE - 1) return;
+    while (size > 0 && ((unsigned char)text[size - 1] & 0xC0) == 0x80) size--;
+    if (size > 0 && (unsigned char)text[size - 1] >= 0xC0) size--;
+    text[size] = '\0';
+}
+
 #ifdef FMU_STATIC
 /* Without the numbers: formatting takes a library that a controller may not have. */
 static void write_message(char *text, const char *function, const char *format, va_list list) {
@@ -52,6 +61,7 @@ static void log_arguments(const Instance *self, Status status, const char *forma
     if (!self->host.logger || !(self->categories >> status & 1)) return;
     char text[TEXT_SIZE] = "";
     write_message(text, self->function, format, list);
+    end_whole(text);
     disarm(text);
     self->host.log(self, status, categories[status], text);
 }

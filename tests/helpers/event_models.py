@@ -10,6 +10,7 @@ from casadi_models.dae import Dae, Model
 from cosim.fmi.export.options import FmuOptions
 from cosim.fmi.export.package import source_files
 
+TEXT_SIZE = 512  # of the runtime's messages, in bytes
 G, RESTITUTION, RATE = 9.81, 0.7, 4.0
 FIXED = ("ode8", "rk4")
 SOLVERS = ("dop853", *FIXED, "erk", "rosenbrock", "cvodes", "cvodes_adams", "idas")
@@ -199,6 +200,7 @@ def pole() -> Dae:
     model.derivative(y, -0.5)
     model.when(x * x < 0.01, {n: n + 1})
     model.limit(x + 5, "x above -5")
+    model.limit(y + 1, "é" * TEXT_SIZE)
     return model.freeze()
 
 

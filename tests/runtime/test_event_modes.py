@@ -10,6 +10,7 @@ BALL = ("time", "h", "v", "n", "der(h)", "der(v)", "der(n)", "mode_1", "event_in
 BLOCK = ("time", "x", "v", "der(x)", "der(v)", "mode_1", "friction", "event_indicator_1")
 LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
+POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
 
 @pytest.fixture(scope="module")
@@ -202,13 +203,13 @@ def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_bef
 
 
 def test_an_infinite_rate_is_no_event_and_no_part_of_a_state(make):
-    fmu = make("pole", ("time", "x", "y", "n"), 0).initialize()
+    fmu = make("pole", POLE, 0).initialize()
     update(fmu)
     assert fmu("EnterContinuousTimeMode") == OK
     move(fmu, 0.5, 0.5, 0.0, 0.0)
-    indicators = reals(0.0, 0.0)
-    assert fmu("GetEventIndicators", indicators, 2) == OK
-    assert [*indicators] == pytest.approx([5.5, 0.5**2 - 0.01])
+    indicators = reals(0.0, 0.0, 0.0)
+    assert fmu("GetEventIndicators", indicators, 3) == OK
+    assert [*indicators] == pytest.approx([5.5, 1.0, 0.5**2 - 0.01])
     snapshot = fmu.take()
     assert fmu("SetFMUstate", snapshot) == OK, fmu.said
 
@@ -223,3 +224,17 @@ def test_a_step_that_is_completed_where_nothing_slides_any_more_is_discarded(mak
     assert fmu("CompletedIntegratorStep", 1, *map(byref, flags)) == DISCARD
     move(fmu, 0.5, 0.0, 0.0)
     assert fmu("CompletedIntegratorStep", 1, *map(byref, flags)) == OK
+
+
+@pytest.mark.parametrize("digits", ["1", "12"])
+def test_a_long_message_ends_with_a_whole_character(make, digits):
+    fmu = make("pole", POLE, 0).initialize()
+    update(fmu)
+    assert fmu("EnterContinuousTimeMode") == OK
+    assert fmu("SetTime", float(f"0.{digits}")) == OK
+    assert fmu("SetContinuousStates", reals(1.0, -2.0, 0.0), 3) == OK
+    fmu.get("valid_margin_1")
+    head, _, text = fmu.said.rpartition(" ")
+    assert head.endswith(f"invalid from 0.{digits} s: not fulfilled:")
+    room = event_models.TEXT_SIZE - len(f"{head} ") - 1
+    assert text in ("é" * (room // 2), "é" * (room // 2 - 1))
