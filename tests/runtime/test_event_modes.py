@@ -238,3 +238,15 @@ def test_a_long_message_ends_with_a_whole_character(make, digits):
     assert head.endswith(f"invalid from 0.{digits} s: not fulfilled:")
     room = event_models.TEXT_SIZE - len(f"{head} ") - 1
     assert text in ("é" * (room // 2), "é" * (room // 2 - 1))
+
+
+def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make):
+    def give(_, __, asks, *___):
+        if asks:
+            fmu.set(u=1.0)
+
+    fmu = make("left", LEFT, 1, 3, update=give, wanted=["u"]).initialize({"start": 1.0})
+    assert fmu.step(1.0, 1e-20)[::2] == (OK, 1.0)
+    assert fmu.get("u") == [1.0]
+    assert fmu.step(1.0, 0.125)[::2] == (OK, 1.125)
+    assert fmu.get("x") == [pytest.approx(0.125)]
