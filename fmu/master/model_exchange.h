@@ -136,11 +136,11 @@ static inline int record_until(Exchange *self, double after, const double *end) 
 static inline int advance(Exchange *self, double goal, int *rejected, bool *event) {
     Run *run = self->run;
     double end[NX], z[NZ];
-    if (0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
+    const int final = self->t + 1.01 * self->h >= goal;
+    if (!final && 0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
         if (self->fmu->function) return CALL_FAILED; /* what was discarded all the way */
         return STEP_VANISHED;
     }
-    const int final = self->t + 1.01 * self->h >= goal;
     double after = final ? goal : self->t + self->h;
     self->h = after - self->t; /* as time is rounded */
     const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
