@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock, get_ident
-from typing import Any, cast
+from typing import Any, TextIO, cast
 
 _LOCK = Lock()
 
@@ -33,8 +33,8 @@ def recorded_errors() -> Iterator[io.StringIO]:
         recorder: Any = sys.stderr
         if not isinstance(recorder, _Recorder):
             recorder = _Recorder(sys.stderr)
-            sys.stderr = cast(Any, recorder)
-        outer = recorder.texts.get(thread)
+            sys.stderr = cast(TextIO, recorder)
+        usual, outer = recorder.usual, recorder.texts.get(thread)
         recorder.texts[thread] = own
     try:
         yield own
@@ -45,4 +45,4 @@ def recorded_errors() -> Iterator[io.StringIO]:
             else:
                 del recorder.texts[thread]
             if not recorder.texts and sys.stderr is recorder:
-                sys.stderr = recorder.usual
+                sys.stderr = usual
