@@ -111,4 +111,5 @@ def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) 
 
 
 def _si_value(subject: Subject, name: str, text: str, *, difference: bool = False) -> float:
-    return value_in(name, text.strip(), subject.unit(name), difference=difference)
+    unit = subject.unit(name) if subject.takes_units else None
+    return value_in(name, text.strip(), unit, difference=difference)
