@@ -12,14 +12,14 @@ from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
 from cosim.fmi.export.options import ABOUT
 from cosim.fmi.export.plan import Plan
-from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
+from cosim.fmi.export.variables import FmuVariable, Role, units_of_rates
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
 
 
-def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
-    """Return the content of `modelDescription.xml`."""
+def model_description(plan: Plan, sources: Sequence[str]) -> ET.Element:
+    """Return what `modelDescription.xml` contains, with an empty GUID or token."""
     dae, variables, dialect = plan.dae, plan.variables, plan.dialect
     common = {
         "modelName": plan.name,
@@ -29,7 +29,7 @@ def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
         "generationTool": f"cosim-rigid {version('cosim-rigid')}",
         "variableNamingConvention": "structured",
     }
-    own = {"fmiVersion": dialect.version, dialect.token: guid}
+    own = {"fmiVersion": dialect.version, dialect.token: ""}
     if dialect.version == "2.0":
         own["numberOfEventIndicators"] = str(plan.indicators)
     root = ET.Element("fmiModelDescription", own | common)
@@ -51,7 +51,7 @@ def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
     for reference, variable in enumerate(variables):
         listed.append(_element(reference, variable, dialect))
     root.append(model_structure(variables, plan.depends, dialect, plan.indicators))
-    return to_bytes(root)
+    return root
 
 
 def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.Element:
@@ -153,7 +153,7 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
         displays.setdefault(variable.unit, set())
         if variable.display_unit:
             displays[variable.unit].add(variable.display_unit)
-    rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
+    rates = units_of_rates(variables)
     for name in sorted(displays):
         unit = rates.get(name) or UNITS[name]
         entry = ET.SubElement(element, "Unit", name=name)
