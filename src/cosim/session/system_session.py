@@ -318,35 +318,27 @@ class SystemSession(Life):
         its state as bytes, for this session until its reset.
         """
         self._require()
-        states = self._states
         numbers = np.empty(self._run.numbers(None))
         self._run.numbers(numbers)
-        content, place = numbers.tobytes(), 0
-        if states.serializes:
-            content += states.write()
-        else:
-            place = states.keep()
+        content = numbers.tobytes() + self._states.save()
         notes = notes_of([part.instance for part in self._instances.parts.values()])
-        return packed(self._saver, self._clock.facts, place, notes, content, has_sum=False)
+        return packed(self._saver, self._clock.facts, notes, content, has_sum=False)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
-        clock, place, notes, length = self.checked_state(saved)
+        clock, notes, length = self.checked_state(saved)
         self._phase = Phase.FAILED
-        size, states = 8 * self._run.numbers(None), self._states
-        if states.serializes:
-            states.read(saved[size:length])
-        else:
-            states.go_back(place)
+        size = 8 * self._run.numbers(None)
+        self._states.restore(saved[size:length])
         self._run.numbers(np.frombuffer(saved[:size]).copy(), back=True)
         self._clock.facts = clock
         take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
-        """Return clock, number, notes and size of a saved state; see `Session.checked_state`."""
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, bytes, int]:
+        """Return clock, notes and size of a saved state; see `Session.checked_state`."""
         self._reject_closed()
-        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=False)
+        owner, clock, notes, size = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
         for name, part in self._instances.parts.items():
@@ -359,7 +351,7 @@ class SystemSession(Life):
                 f"{self.name}: these bytes were saved by another session or system, or with "
                 "another macro_step, method, accuracy or tolerance"
             )
-        return clock, place, notes, size
+        return clock, notes, size
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""
