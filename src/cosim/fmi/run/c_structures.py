@@ -13,6 +13,7 @@ from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.description import is_second
 from cosim.fmi.run.instance import getter_name
+from cosim.fmi.run.request import nominals_of
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
 KINDS: dict[str, Any] = {
@@ -170,6 +171,31 @@ class Calls:
         structure = self._recorded[key].structure
         structure.rows = rows.ctypes.data
         return structure
+
+
+def exchange_run(
+    instance: Any, description: Any, calls: Calls, shares: Vector | float = 1.0, **facts: Any
+) -> tuple[Run, Vector]:
+    """Return a run in model exchange, and the nominal values that live as long as it.
+
+    Args:
+        instance: Of fmpy, past its initialization.
+        description: Of fmpy.
+        calls: Of the instance.
+        shares: Of the absolute tolerance of each state, (states,).
+        facts: More fields of the run.
+    """
+    n = description.numberOfContinuousStates
+    nominals = np.append(nominals_of(instance, n) * shares, 1.0)
+    run = Run(
+        functions=ctypes.pointer(calls.functions),
+        states=n,
+        indicators=description.numberOfEventIndicators,
+        needs_completed_step=description.modelExchange.needsCompletedIntegratorStep,
+        nominals=nominals.ctypes.data,
+        **facts,
+    )
+    return run, nominals
 
 
 def addresses_of(
