@@ -232,7 +232,7 @@ def _interfaces(plan: Plan, sources: Sequence[str]) -> list[ET.Element]:
     ]
     if plan.step_size is not None and not second:
         elements[1].set("fixedInternalStepSize", shortest(plan.step_size))
-    if plan.modes and not second:
+    if plan.system and plan.system.relations and not second:
         elements[1].set("hasEventMode", "true")
     lacking = set[str]()
     if not plan.options.derivatives:
