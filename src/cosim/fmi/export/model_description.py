@@ -304,16 +304,12 @@ def _references(variables: Sequence[FmuVariable], role: Role) -> list[int]:
 
 def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
     """Return the derivatives, and the states and outputs whose start values are not exact."""
+    listed = (Role.STATE, Role.DERIVATIVE)
     return [
         i
         for i, variable in enumerate(variables)
-        if variable.role is Role.DERIVATIVE or _is_initial_unknown(variable)
+        if (variable.observed or variable.role in listed) and variable.start_kind is not Start.EXACT
     ]
-
-
-def _is_initial_unknown(variable: FmuVariable) -> bool:
-    shown = variable.observed or variable.role is Role.STATE
-    return shown and variable.start_kind is not Start.EXACT
 
 
 def _needs(
