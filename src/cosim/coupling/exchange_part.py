@@ -93,9 +93,6 @@ def _library(states: int, indicators: int) -> ctypes.CDLL:
     coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
     text = sizes + master_source("exchange_part.h") + coefficients
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    library.open_model.argtypes = [ctypes.POINTER(_Model)]
     library.numbers_of_model.argtypes = [ctypes.POINTER(Functions), ctypes.c_void_p, ctypes.c_int]
     library.numbers_of_model.restype = ctypes.c_longlong
-    library.close_model.argtypes = [ctypes.POINTER(Functions)]
-    library.close_model.restype = None
     return library

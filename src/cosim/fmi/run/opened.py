@@ -297,7 +297,4 @@ def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
         sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
         coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
         text = sizes + master_source("model_exchange.h") + coefficients
-    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    library.run_fmu.argtypes = [ctypes.POINTER(Run)]
-    library.run_fmu.restype = None
-    return library
+    return ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
