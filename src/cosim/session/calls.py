@@ -13,7 +13,7 @@ from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.c_structures import c_type
 from cosim.fmi.run.description import is_second
-from cosim.fmi.run.instance import getter_name
+from cosim.fmi.run.instance import layouts_of
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
 _LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
@@ -44,8 +44,10 @@ class Group:
         columns: Places of the variables in the list that the user gave.
     """
 
-    def __init__(self, calls: "PreparedCalls", kind: str, variables: Sequence[Any]) -> None:
-        layout, second = Layout.of(variables), calls.second
+    def __init__(
+        self, calls: "PreparedCalls", kind: str, layout: Layout, columns: list[int]
+    ) -> None:
+        second = calls.second
         references = (ctypes.c_uint32 * len(layout.references))(*layout.references)
         values = (c_type(kind, second) * layout.values)()
         self.buffer = np.frombuffer(values, dtype=np.dtype(values._type_))
@@ -57,7 +59,7 @@ class Group:
         self._get = calls.function(f"Get{kind}")
         self._set = calls.function(f"Set{kind}")
         self._arguments = arguments
-        self.columns: list[int] = []
+        self.columns = columns
 
     def get(self) -> int:
         """Read the values into the buffer."""
@@ -113,15 +115,7 @@ class PreparedCalls:
 
     def groups(self, variables: Sequence[Any]) -> list[Group]:
         """Return variables by their C types, in the order of their first occurrence."""
-        kinds: dict[str, list[int]] = {}
-        for place, variable in enumerate(variables):
-            kinds.setdefault(getter_name(variable, self._description), []).append(place)
-        found = []
-        for kind, places in kinds.items():
-            group = Group(self, kind, [variables[place] for place in places])
-            group.columns = places
-            found.append(group)
-        return found
+        return [Group(self, *layout) for layout in layouts_of(variables, self._description)]
 
     def step(self, time: float, length: float) -> Step:
         """Take a communication step from a time, s."""
