@@ -6,7 +6,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any, NoReturn
 
@@ -36,10 +36,8 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import ClockFacts, notes_of, packed, take_notes, unpacked
-from cosim.session.values import finite, may_change, not_settable, sequence_by_name
+from cosim.session.values import LARGEST, finite, may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
-
-_LARGEST = 64  # lists of variables whose calls are prepared
 
 
 class SystemSession(Life):
@@ -113,7 +111,7 @@ class SystemSession(Life):
         self._begun.close()
         for name in ("_states", "_saver"):
             vars(self).pop(name, None)
-        self._selections: dict[Any, tuple[list[Any], Vector, Vector]] = {}
+        self._selection = lru_cache(LARGEST)(self._prepared)
         with self._system.naming_files():
             run = self._instances.opened(settings, values, self._called, ends=self._ends)
             self._run = self._begun.enter_context(closing(run))
@@ -251,13 +249,7 @@ class SystemSession(Life):
         if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
         chosen = self.outputs if names is None else listed(f"{self.name}: get", names)
-        selection = self._selections.get(chosen)
-        if selection is None:
-            selection = self._selection(chosen)
-            if len(self._selections) >= _LARGEST:
-                self._selections.clear()
-            self._selections[chosen] = selection
-        groups, factors, offsets = selection
+        groups, factors, offsets = self._selection(chosen)
         row = np.empty(len(chosen))
         for part, group, columns in groups:
             if (status := group.get()) > WARNING:
@@ -272,7 +264,7 @@ class SystemSession(Life):
         with explained(self.name, part):
             raise FMICallException(function=function, status=status)
 
-    def _selection(self, names: tuple[str, ...]) -> tuple[list[Any], Vector, Vector]:
+    def _prepared(self, names: tuple[str, ...]) -> tuple[list[Any], Vector, Vector]:
         """Return what reads variables: calls of each part with their columns, factors, offsets."""
         ends = [self._behind(name) for name in names]
         by_part: dict[str, list[int]] = {}
