@@ -25,6 +25,11 @@ from cosim.text import described
 from cosim.trajectory import Trajectory
 
 _REQUEST, _ANSWER = "request.pickle", "answer.pickle"
+# what reading an answer raises that is missing or cut off
+_BROKEN = (
+    *(OSError, EOFError, ValueError, LookupError, TypeError, AttributeError),
+    *(ImportError, RecursionError, pickle.UnpicklingError),
+)
 
 
 def run_apart(
@@ -68,7 +73,7 @@ def run_apart(
             raise FmuError(f"{path}: {what} did not end within {limit:g} s and was stopped")
         try:
             answer = _Answer(*pickle.loads((folder / _ANSWER).read_bytes()))
-        except Exception as error:  # of a file that is missing or cut off
+        except _BROKEN as error:
             raise FmuError(
                 f"{path}: {what} {how_it_ended(code)} while it ran; do not use it"
             ) from error
