@@ -171,7 +171,7 @@ class Calls:
 def exchange_run(
     instance: Any, description: Any, calls: Calls, shares: Vector | float = 1.0, **facts: Any
 ) -> tuple[Run, Vector]:
-    """Return a run in model exchange, and the nominal values that live as long as it.
+    """Return a run in model exchange, and the nominal values, which must live as long as it.
 
     Args:
         instance: Of fmpy, past its initialization.
