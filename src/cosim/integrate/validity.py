@@ -15,7 +15,8 @@ from cosim.codegen.runge_kutta.tableau import DIVERGED
 from cosim.errors import InitialConditionError
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.modes import hybrid
-from cosim.integrate.outputs import Observed, Solved
+from cosim.integrate.motion import Motion
+from cosim.integrate.outputs import Observed
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
@@ -31,32 +32,29 @@ class Breach(NamedTuple):
     reason: Violation
 
 
-def breaches(
-    dae: Dae, solved: Solved, seen: Observed, n: int, left: Mapping[int, float]
-) -> list[Breach]:
+def breaches(motion: Motion, seen: Observed, n: int, left: Mapping[int, float]) -> list[Breach]:
     """Return when each validity condition of the model is violated for the first time.
 
     A violation is located between output times, where the margin of its condition passes 0 or may
     do so and return, on the cubic through the states and their rates.
 
     Args:
-        dae: The model.
-        solved: Result of the solver.
+        motion: The motion.
         seen: Its margins.
         n: Number of output times to check.
         left: When conditions are violated first, s, by their positions, as far as that is known
             better.
     """
     found = list[Breach]()
-    for i, (_, meaning) in enumerate(dae.limits):
+    for i, (_, meaning) in enumerate(motion.dae.limits):
         if i in left:
-            k = int(solved.time[:n].searchsorted(left[i]))
+            k = int(motion.time[:n].searchsorted(left[i]))
             if k < n:
                 found.append(Breach(k, Violation(left[i], violated(meaning))))
             continue
         margin = seen.margins[:n, i]
         for k in _doubtful(margin):
-            when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)
+            when = float(motion.time[0]) if k < 0 else _first_outside(motion, seen, i, k)
             if when is not None:
                 found.append(Breach(k + 1, Violation(when, violated(meaning))))
                 break
@@ -86,18 +84,18 @@ def _doubtful(margin: Vector) -> list[int]:
     return sorted({*(near - 1).tolist(), *near.tolist(), *last})
 
 
-def _first_outside(dae: Dae, solved: Solved, seen: Observed, limit: int, k: int) -> float | None:
+def _first_outside(motion: Motion, seen: Observed, limit: int, k: int) -> float | None:
     """Return when a margin is 0 first in an interval between output times, s; None if it is not."""
-    law, ends = _margin(dae, limit), slice(k, k + 2)
-    u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, ends]
-    states, unknowns, time = solved.states[:, ends], seen.unknowns[ends].T, solved.time[ends]
-    rates = np.array(equations(dae)(time[None], states, unknowns, u, solved.p)[0])
+    law, ends, p = _margin(motion.dae, limit), slice(k, k + 2), motion.p
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, ends]
+    states, unknowns, time = motion.states[:, ends], seen.unknowns[ends].T, motion.time[ends]
+    rates = np.array(equations(motion.dae)(time[None], states, unknowns, u, p)[0])
     curve = _curve(time - time[0], states, rates)
     low, high = 0.0, float(time[1] - time[0])
     for _ in range(2 * _ZOOMS):  # to the rounding of time
         s = np.linspace(low, high, _POINTS)
         x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
-        margin = np.array(law((time[0] + s)[None], x, unknowns[:, 0], u[:, 0], solved.p)).ravel()
+        margin = np.array(law((time[0] + s)[None], x, unknowns[:, 0], u[:, 0], p)).ravel()
         outside = ~(margin > 0)
         if outside.any():
             first = int(np.argmax(outside))
@@ -274,21 +272,20 @@ class SingularConfiguration(NamedTuple):
 PROJECTION = 'pass it with drift_control="projection" (--drift-control projection)'
 
 
-def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: int) -> Breach | None:
+def first_singular_configuration(motion: Motion, seen: Observed, n: int) -> Breach | None:
     """Return how many output times lie before the first singular configuration, and a message.
 
     Args:
-        dae: The model.
-        solved: Result of the solver.
+        motion: The motion.
         seen: Its margins; the last one is that of `with_singularity_margin`.
         n: Number of output times to check.
 
     Returns:
         None if no configuration is singular.
     """
-    time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
-    inputs, distance = solved.u[:, :n], seen.margins[:n, -1]
-    every = singular_configurations(dae, time, states, unknowns, inputs, solved.p, distance)
+    dae, time, states = motion.dae, motion.time[:n], motion.states[:, :n]
+    unknowns, inputs, distance = seen.unknowns[:n].T, motion.u[:, :n], seen.margins[:n, -1]
+    every = singular_configurations(dae, time, states, unknowns, inputs, motion.p, distance)
     first = next(every, None)
     if first is None:
         return None
