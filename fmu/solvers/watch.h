@@ -28,7 +28,7 @@ typedef struct {
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
     Watch *watch;
-    double t, h, known; /* known: the motion goes on as it is up to this time */
+    double t, known; /* known: the motion goes on as it is up to this time */
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
