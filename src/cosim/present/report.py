@@ -34,7 +34,7 @@ from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.point import linearized
+from cosim.study.linearize.linearize import linearize
 from cosim.text import html_table
 from cosim.trajectory import Trajectory
 
@@ -85,7 +85,7 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    why = html.escape("; ".join(getattr(reason, "what", reason) for reason in reasons))
+    why = html.escape("; ".join(reasons))
     return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
 
 
@@ -166,7 +166,7 @@ def _linear_system(c: ReportContents) -> Linearization | None:
     values = {name: value for name, value in c.scene.request.values.items() if name in names}
     for point in ("equilibrium", "start"):
         with suppress(CosimError):
-            linear = linearized(c.dae, at=point, start_values=values)
+            linear = linearize(c.dae, at=point, start_values=values)
             return None if linear.period else linear
     return None
 

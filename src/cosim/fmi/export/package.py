@@ -99,15 +99,19 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
 
 def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
     """Return the content of an FMU by path, without binaries."""
-    plan = planned(dae, options)
+    return files_of(planned(dae, options))
+
+
+def files_of(plan: Plan) -> dict[str, bytes]:
+    """Return the content of a planned FMU by path, without binaries."""
     code = _model_code(plan)
     sources = ["fmu.c", *plan.embedded]
     unsigned = model_description(plan, sources, guid="")
-    settings = repr((plan.step_size, options.max_step)).encode()
+    settings = repr((plan.step_size, plan.options.max_step)).encode()
     guid = _guid_of(unsigned, *code.values(), *plan.runtime.values(), settings)
     code["model.h"] = model_header(plan, guid, code["equations.c"].decode()).encode()
     code["buildDescription.xml"] = build_description(plan, sources)
-    drawn = pictures(plan.dae, options.fmi)
+    drawn = pictures(plan.dae, plan.options.fmi)
     return {
         **drawn,
         "modelDescription.xml": model_description(plan, sources, guid),
