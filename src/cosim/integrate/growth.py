@@ -173,7 +173,8 @@ def _path(motion: Motion, sizes: Vector) -> StatePath:
 def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
     """Return the algebraic unknowns and the inputs of the rows at or before times."""
     rows = motion.time.searchsorted(times, "right") - 1
-    return motion.algebraics[:, rows], motion.inputs[:, rows]
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
+    return motion.algebraics[:, rows], u[:, rows]
 
 
 @cached_per_thread(16)

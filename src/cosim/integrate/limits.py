@@ -124,7 +124,8 @@ def _holds(watched: _Watched, motion: Motion) -> bool:
     steps = motion.counts.steps
     if motion.instants or not steps or len(t) < max(3, steps):
         return False
-    nx, u = len(motion.states), motion.inputs
+    u = np.broadcast_to(motion.u, (len(motion.u), len(t)))
+    nx = len(motion.states)
     x = np.array([motion.states[i] if i < nx else u[i - nx] for i in watched.moved])
     x = x.reshape(-1, len(t))
     bend = np.abs(np.diff(x, 2)).max(axis=1, initial=0)  # eight times what lines are off

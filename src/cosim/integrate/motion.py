@@ -64,21 +64,17 @@ class Motion:
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
 
-    @property
-    def inputs(self) -> Vector:
-        """Inputs, one column per time, (nu, n)."""
-        return np.broadcast_to(self.u, (len(self.u), len(self.time)))
-
     def with_sides(self) -> "Motion":
         """Return the motion with a row before and one after each instant with an event."""
-        sides = [side for pair in self.instants for side in pair]
+        n, sides = len(self.time), [side for pair in self.instants for side in pair]
+        u = np.broadcast_to(self.u, (len(self.u), n))
         if not sides:
-            return replace(self, u=self.inputs)
+            return replace(self, u=u)
         times = np.append([side.t for side in sides], self.time)
         order = np.argsort(times, kind="stable")
         rows = (
             ([getattr(side, name) for side in sides], own)
-            for name, own in (("x", self.states), ("z", self.algebraics), ("inputs", self.inputs))
+            for name, own in (("x", self.states), ("z", self.algebraics), ("inputs", u))
         )
         columns = (np.hstack((np.array(seen).T, own))[:, order] for seen, own in rows)
         states, algebraics, u = columns
@@ -159,7 +155,7 @@ class Path(NamedTuple):
 def rates_at(motion: Motion, rows: Vector | slice) -> Vector:
     """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
     t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
-    u = motion.inputs[:, rows]
+    u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]
     if len(z):  # the solver's own are interpolated between its steps
         with suppress(RuntimeError):  # CasADi's factorization meets a singular matrix
             solved = np.array(algebraic_function(motion.dae)(t, x, z, u, motion.p))

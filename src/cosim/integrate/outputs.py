@@ -78,7 +78,8 @@ def _one_by_one(
     known = len(dae.states) + len(dae.algebraics)
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
-    arguments = (motion.time, motion.states.T, motion.algebraics.T, motion.inputs.T, motion.p)
+    u = np.broadcast_to(motion.u, (len(motion.u), n))
+    arguments = (motion.time, motion.states.T, motion.algebraics.T, u.T, motion.p)
     if not call_on_arrays(function.buffer(), arguments, (rows,)):  # one singular row stops all
         _evaluate_rows(_observer(dae, 1, compiled), arguments, rows)
     every = np.hstack((motion.states.T, rows))

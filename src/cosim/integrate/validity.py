@@ -116,7 +116,7 @@ def _least(
         stops: Whether the first margin that is not positive is wanted, if there is one. What is not
             a number is such a margin then, and is passed over otherwise.
     """
-    start, inputs = motion.time[k], motion.inputs
+    start, inputs = motion.time[k], np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
     time, states, z = motion.time[rows], motion.states[:, rows], seen.unknowns[rows].T
     rates = equations(motion.dae)(time[None], states, z, inputs[:, rows], motion.p)[0]
     curve = _curve(time - start, states, np.array(rates))
