@@ -61,8 +61,8 @@ def _first_left(motion: Motion, seen: Observed, n: int, limit: int) -> float:
     time, margin = motion.time[:n], seen.margins[:n, limit]
     if n and not margin[0] > 0:
         return float(time[0])
-    law = _margin(motion.dae, limit)
     for k in _doubtful(time, margin).tolist():
+        law = _margin(motion.dae, limit)
         least, when = _least(law, motion, seen, k, slice(k, k + 2), stops=True)
         if not least > 0:
             return when
@@ -111,7 +111,7 @@ def _least(
         law: The margin.
         motion: The motion.
         seen: Its algebraic unknowns.
-        k: The interval, whose unknowns and inputs are those of its begin.
+        k: The interval, whose unknowns and inputs are those at its start.
         rows: Those through whose states and rates the curve goes.
         stops: Whether the first margin that is not positive is wanted, if there is one. What is not
             a number is such a margin then, and is passed over otherwise.
@@ -294,8 +294,8 @@ def first_singular_configuration(motion: Motion, seen: Observed, n: int) -> Brea
         None if no configuration is singular.
     """
     dae, time, distance = motion.dae, motion.time[:n], seen.margins[:n, -1]
-    law = _margin(with_singularity_margin(dae), -1)
     for k in _doubtful(time, distance - 1 / SINGULAR_CONDITION).tolist():
+        law = _margin(with_singularity_margin(dae), -1)
         # also along the motion before and after, in case the solver changed the branch between
         parts = slice(k, k + 2), slice(max(0, k - 2), k + 1), slice(k + 1, min(n, k + 4))
         along = (_least(law, motion, seen, k, rows, stops=False) for rows in parts)
