@@ -93,7 +93,6 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
             Step step = {.watch = watch,
                          .t = t,
-                         .h = made.quintic.h,
                          .known = grid->end,
                          .motion = &made,
                          .within = within_made,
