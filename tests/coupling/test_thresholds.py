@@ -48,6 +48,22 @@ def test_an_input_that_leaves_its_rest_on_a_threshold_has_left_it_at_once(
     assert np.abs(run[last] - exact).max() <= run.stats["error_estimate"] <= accuracy
 
 
+@pytest.mark.slow
+def test_an_input_that_turns_back_to_a_threshold_passes_it_there():
+    """x = t^3 - t^2/2 is 0 at 0.5 s; looks from 0 that are longer than that see a power of time."""
+    mass, relay = cosim.Model("mass", stop_time=100.0, output_interval=5.0), cosim.Model("relay")
+    t, x, v = (mass.state(name, "1", 0.0, name) for name in "txv")
+    mass.derivative(t, 1)
+    mass.derivative(x, v)
+    mass.derivative(v, 6 * t - 1)
+    seen = relay.input("seen", "1", 0.0, "place")
+    relay.when(seen > 0, {relay.discrete("n", "1", 0.0, "count"): 1}, name="up")
+    parts = {"mass": mass.freeze(), "relay": relay.freeze()}
+    run = cosim.couple(parts, {"relay.seen": "mass.x"}).simulate(accuracy=1e-3)
+    assert [event.time for event in run.events] == pytest.approx([0.5], abs=1e-6)
+    assert "note" not in run.stats
+
+
 @pytest.mark.slow_rows("{'macro_step': 0.1}-3.0")
 @pytest.mark.parametrize("size", [1.0, 3.0])
 @pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.1}], ids=str)
