@@ -90,7 +90,7 @@ def main(models: list[str]) -> None:
     print("tool".ljust(10), *(outcome.rjust(11) for outcome in OUTCOMES))
     runners = {"cosim": RUNNER, "casadi": "extremes:run_casadi", "fmpy": "extremes:run_fmpy"}
     for tool, runner in runners.items():
-        counts = Counter(f.verdict.outcome for f in explore(cases, timeout=60, runner=runner))
+        counts = Counter(f.outcome for f in explore(cases, timeout=60, runner=runner))
         print(tool.ljust(10), *(str(counts[outcome]).rjust(11) for outcome in OUTCOMES), flush=True)
 
 

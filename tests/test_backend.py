@@ -3,7 +3,7 @@
 import pytest
 
 import cosim
-from cosim import backend as backends
+from cosim.api import execute
 from cosim.backend import Backend
 from cosim.errors import UnknownName, UsageError
 from cosim.model.request import choice
@@ -27,8 +27,8 @@ def test_other_backends_are_rejected(name):
 
 def test_interpreted_backend_compiles_nothing():
     request = cosim.requested("crank_shaft/driven", stop_time=0.02)
-    assert backends.run(request, Backend.INTERPRETED).stats["compiled"] is False
-    assert backends.run(request).stats["compiled"]
+    assert execute(request, Backend.INTERPRETED).stats["compiled"] is False
+    assert execute(request).stats["compiled"]
 
 
 @pytest.mark.parametrize("option", [{"accuracy": 1e-6}, {"stop_when": "phi > 1"},

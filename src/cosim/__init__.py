@@ -35,7 +35,11 @@ __all__ = sorted(_MODULES)
 present_by(
     animate="cosim.present.playback.animate:animate",
     compare="cosim.present.figures:draw_residuals",
+    eigenvalues="cosim.present.study_figures:draw_eigenvalues",
+    extremes="cosim.present.study_figures:draw_map",
+    methods="cosim.present.study_figures:draw_methods",
     plot="cosim.present.figures:draw_panels",
+    sensitivity="cosim.present.study_figures:draw_sensitivity",
     tradeoff="cosim.present.study_figures:draw_tradeoff",
 )
 

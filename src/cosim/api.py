@@ -5,10 +5,11 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 from casadi_models.dae import Dae
-from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.errors import UsageError
+from cosim.fmi.run.exported import run as run_as_fmu
 from cosim.integrate.keywords import Keywords, RareKeywords, requested
+from cosim.integrate.run import run
 from cosim.model.request import RunRequest, choice
 from cosim.model.solver import Goal, Solver
 from cosim.scene.scene import Scene
@@ -121,11 +122,11 @@ def simulate(
 
 def execute(request: RunRequest, backend: Backend = Backend.NATIVE) -> Trajectory:
     """Execute a request on a backend; a goal is first resolved to a solver and a tolerance."""
-    if isinstance(request.solver, Goal) and backend.native:
-        if backend is Backend.INTERPRETED:
-            request = replace(request, policy=replace(request.policy, compiled=False))
-        return accurate_run(request)
-    return backends.run(request, backend)
+    if backend.interface is not None:
+        return run_as_fmu(request, backend.interface)
+    if backend is Backend.INTERPRETED:
+        request = replace(request, policy=replace(request.policy, compiled=False))
+    return accurate_run(request) if isinstance(request.solver, Goal) else run(request)
 
 
 def run_scene(

@@ -1,12 +1,6 @@
-"""`Backend`: whether a request is simulated natively or as an FMU; `run` executes it."""
+"""`Backend`: whether a request is simulated natively or as an FMU."""
 
-from dataclasses import replace
 from enum import StrEnum
-
-from cosim.fmi.run.exported import run as run_as_fmu
-from cosim.integrate.run import run as run_natively
-from cosim.model.request import RunRequest
-from cosim.trajectory import Trajectory
 
 
 class Backend(StrEnum):
@@ -30,12 +24,3 @@ class Backend(StrEnum):
 
 _INTERFACES = {Backend.MODEL_EXCHANGE: "ModelExchange", Backend.CO_SIMULATION: "CoSimulation"}
 FMU_BACKENDS = tuple(_INTERFACES)
-
-
-def run(request: RunRequest, backend: Backend = Backend.NATIVE) -> Trajectory:
-    """Execute a request on a backend."""
-    if backend.interface is not None:
-        return run_as_fmu(request, backend.interface)
-    if backend is Backend.INTERPRETED:
-        request = replace(request, policy=replace(request.policy, compiled=False))
-    return run_natively(request)

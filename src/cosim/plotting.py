@@ -4,7 +4,6 @@ import io
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -61,16 +60,6 @@ def shade_invalid(axis: Axes, time: Vector, invalid_from: float) -> None:
     if valid.size and (span := float(np.ptp(valid))):  # what is invalid may be of any size
         low, high = axis.get_ylim()
         axis.set_ylim(max(low, valid.min() - 0.5 * span), min(high, valid.max() + 0.5 * span))
-
-
-def invalid_text(invalid_from: float, reasons: Sequence[str], width: float) -> str:
-    """Return the caption of an invalid span, in lines for a width in inches."""
-    if not reasons:
-        return ""
-    more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-    what = getattr(reasons[0], "what", reasons[0])
-    text = f"shaded: invalid from {invalid_from:.3g} s: {what}{more}"
-    return fill(text, int(width * 14), max_lines=5, placeholder=" ...")
 
 
 def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:

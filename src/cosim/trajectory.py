@@ -130,11 +130,12 @@ class Trajectory:
 
     @property
     def validity(self) -> tuple[float, tuple[str, ...]]:
-        """Time from which the run is invalid, s (infinite if it is valid), and the reasons."""
-        reasons = tuple(self.stats.get("invalid", ()))
+        """Time from which the run is invalid, s (infinite if it is valid), and what is wrong."""
+        found = self.stats.get("invalid", ())
+        reasons = tuple(getattr(text, "what", text) for text in found)
         if not len(self):
             return inf, reasons
-        times = (getattr(text, "time", float(self.time[0])) for text in reasons)
+        times = (getattr(text, "time", float(self.time[0])) for text in found)
         start = float(self.stats.get("invalid_from", min(times, default=inf)))
         if self.complete:
             return start, reasons
@@ -200,23 +201,19 @@ class Trajectory:
         names = self.names
         hidden = [e for e in self.events if np.count_nonzero(self.time == e.time) < 2]
         known = [e for e in hidden if all(name in e.before for name in names)]
-        places, times, rows = list[int](), list[float](), list[list[float]]()
+        times, rows = list[float](), list[list[float]]()
         for time, here in groupby(known, lambda event: event.time):
             events = list(here)
             sides = [before for before, _ in groupby(event.before for event in events)]
-            place = int(np.searchsorted(self.time, time))
-            if place == len(self) or self.time[place] != time:  # a row there has what is after it
+            if time not in self.time:  # a row there has what is after it
                 sides.append(events[-1].after)
-            places += [place] * len(sides)
             times += [time] * len(sides)
             rows += [[side[name] for name in names] for side in sides]
-        if not places:
+        if not times:
             return self
-        return replace(
-            self,
-            time=np.insert(self.time, places, times),
-            values=np.insert(self.values, places, np.array(rows), axis=0),
-        )
+        every = np.append(times, self.time)
+        order = np.argsort(every, kind="stable")
+        return replace(self, time=every[order], values=np.vstack((rows, self.values))[order])
 
     @property
     def final(self) -> dict[str, float]:

@@ -6,7 +6,6 @@ import pytest
 import casadi_models
 import cosim
 from cosim.drawing.meshes import mesh_of
-from cosim.drawing.rotation import to_matrices
 from cosim.present.playback.playback import playback
 
 
@@ -20,7 +19,7 @@ def place(played, body, frame):
 
 
 def turn(played, body):
-    return to_matrices(played.quaternions[:, played.bodies.index(body)])
+    return played.rotations[:, played.bodies.index(body)]
 
 
 def load(played, name):
@@ -71,7 +70,7 @@ def test_arms_of_the_rider_reach_the_turned_bar(steer):
     _, played = shown("bicycle/multipliers", start_values=values, stop_time=0.01)
     bar = next(solid for solid in played.solids if solid.name == "handlebar")
     middle = place(played, "fork", 0) + turn(played, "fork")[0] @ bar.at
-    along = turn(played, "fork")[0] @ bar.rotation[:, 2]
+    along = turn(played, "fork")[0] @ (bar.along / np.linalg.norm(bar.along))
     for side, right in (("left", -1), ("right", 1)):
         hand = place(played, f"fork/{side} arm", 0)
         np.testing.assert_allclose(hand, middle + 0.2 * right * along, atol=1e-12)
@@ -79,8 +78,7 @@ def test_arms_of_the_rider_reach_the_turned_bar(steer):
         distance = np.linalg.norm(hand - shoulder)
         rods = [solid for solid in played.solids if solid.name == f"{side} arm of the rider"]
         ends = [
-            played.places[0, rod.body]
-            + to_matrices(played.quaternions[0, rod.body][None])[0] @ (2 * rod.at)
+            played.places[0, rod.body] + played.rotations[0, rod.body] @ (2 * rod.at)
             for rod in rods
         ]
         for rod, begin, end in zip(rods, (shoulder, hand), ends, strict=True):

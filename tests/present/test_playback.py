@@ -14,8 +14,8 @@ from cosim.present.playback.playback import frame_times, playback, usual_speed
 def test_no_body_turns_more_than_sixty_degrees_between_frames(rate, interval):
     run = cosim.simulate(spinning(rate), stop_time=1.0, output_interval=interval, compiled=False)
     played = playback(run, run.drawing)
-    cosines = np.abs((played.quaternions[1:] * played.quaternions[:-1]).sum(axis=-1))
-    turns = 2 * np.arccos(np.clip(cosines, 0.0, 1.0))
+    change = np.linalg.norm(np.diff(played.rotations, axis=0), axis=(-2, -1))
+    turns = 2 * np.arcsin(change / np.sqrt(8))
     assert np.degrees(turns.max()) <= 60.0 * (1 + 1e-6)
     total = turns[:, 1].sum()
     assert total == pytest.approx(rate * 1.0, rel=1e-6)  # no turn is lost, none runs backward
@@ -75,7 +75,7 @@ def test_run_outside_its_model_says_since_when_and_why():
     played = playback(run, run.drawing)
     first = np.flatnonzero(run["fz_P"] >= 0)[0]
     assert run.time[first - 1] < played.invalid_from <= run.time[first]
-    assert played.reasons[0].endswith(" s: the rear wheel would lift off")
+    assert played.reasons[0] == "the rear wheel would lift off"
 
 
 def test_camera_follows_along_the_ground_only():

@@ -23,7 +23,6 @@ from cosim.model.values import settable_variable, whole
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import with_solver
-from cosim.series.csv_file import Words
 
 TIMES = ("start_time", "stop_time", "output_interval")
 _NUMBERS = ("step_size", *LIMITS)
@@ -80,7 +79,7 @@ def _with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
 
 def _with_inputs(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     """Return a request whose inputs have the formulas and time series of a command line."""
-    if laws := _laws(args):
+    if laws := laws_in(args):
         names = {name for name, _ in laws}
         dae = with_laws(request.dae, tuple(laws))
         left = {variable.name for variable in dae.inputs}
@@ -94,23 +93,8 @@ def _with_inputs(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     return request
 
 
-def inputs_in(args: argparse.Namespace, words: Words) -> dict[str, Any]:
-    """Return the inputs of an FMU by name: formulas of time, and time series.
-
-    Args:
-        args: The command line.
-        words: See `read_inputs`.
-    """
-    inputs: dict[str, Any] = dict(_laws(args))
-    if args.input_file is not None:
-        series = read_inputs(args.input_file, words=words)
-        if twice := inputs.keys() & set(series.names):
-            raise UsageError(f"{min(twice)} has a formula and a column; give one of them")
-        inputs |= dict.fromkeys(series.names, series)
-    return inputs
-
-
-def _laws(args: argparse.Namespace) -> list[tuple[str, str]]:
+def laws_in(args: argparse.Namespace) -> list[tuple[str, str]]:
+    """Return the names of inputs with the formulas of `--input`."""
     return [*assigned("--input", getattr(args, "laws", ()), "FORMULA")]
 
 

@@ -140,6 +140,8 @@ def add_options(parser: Parser, verb: Verb) -> None:
             keywords["type"] = TYPES[keywords["type"]]
         if "endings" in keywords:
             keywords["type"] = _file_name(keywords.pop("endings"), "figure" in verb.options)
+        if keywords.keys().isdisjoint({"type", "metavar", "action"}):
+            keywords["action"] = "store_true"
         if name in verb.exclusive:
             group = exclusive = exclusive or group.add_mutually_exclusive_group()
         group.add_argument(*flags, **keywords)

@@ -17,7 +17,7 @@ from cosim.backend import Backend
 from cosim.cli.arguments import (
     TIMES,
     assigned,
-    inputs_in,
+    laws_in,
     names_in,
     numbers_in,
     options_in,
@@ -37,6 +37,7 @@ from cosim.fmi.run.typed_values import REALS, series_value
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
 from cosim.model.catalogue import load
+from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
 from cosim.scene.scene import Scene
@@ -72,7 +73,7 @@ def scene_or_none(args: argparse.Namespace) -> Scene | None:
 
 def _report_undriven_inputs(args: argparse.Namespace, system: System) -> None:
     """Name the inputs of a system that nothing drives, before it runs."""
-    given = {*dict(start_texts(args)), *(_inputs_in(args) or {})}
+    given = {*dict(start_texts(args)), *_inputs_in(args)}
     undriven = [name for name in system.undriven_inputs if name not in given]
     if undriven:
         note(
@@ -135,7 +136,7 @@ def _fmu_run(args: argparse.Namespace) -> Trajectory:
 
 
 def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the inputs of a command line."""
+    """Return the inputs of an FMU or a system by name: formulas of time, and time series."""
 
     @cache
     def variable_of(name: str) -> Any:
@@ -151,7 +152,13 @@ def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
             return None
         return series_value(args.model, variable, cell)
 
-    return inputs_in(args, number_of_word)
+    inputs: dict[str, Any] = dict(laws_in(args))
+    if args.input_file is not None:
+        series = read_inputs(args.input_file, words=number_of_word)
+        if twice := inputs.keys() & set(series.names):
+            raise UsageError(f"{min(twice)} has a formula and a column; give one of them")
+        inputs |= dict.fromkeys(series.names, series)
+    return inputs
 
 
 def _co_simulation(args: argparse.Namespace) -> Trajectory:

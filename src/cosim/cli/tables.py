@@ -1,4 +1,4 @@
-"""Results as text: aligned tables or JSON on standard output, whole files."""
+"""Results as text: aligned tables or JSON on standard output, whole files; and as figures."""
 
 import argparse
 import json
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.files import write_atomically
+from cosim.presenters import presenter
 from cosim.text import text_table
 
 _COLORS = {"ok": "32", "DIFFERS": "31", "FAILED": "31"}
@@ -34,6 +35,14 @@ def note(args: argparse.Namespace, *lines: object) -> None:
     """Print lines to standard error, unless the command line says --quiet."""
     if lines and not args.quiet:
         print(*lines, sep="\n", file=sys.stderr, flush=True)
+
+
+def draw(args: argparse.Namespace, kind: str, result: object) -> None:
+    """Draw a result to the file of --figure, if there is one; `kind` is a name of a presenter."""
+    if args.figure:
+        from cosim.plotting import save  # loads matplotlib
+
+        save([presenter(kind)(result)], args.figure)
 
 
 def report_files(args: argparse.Namespace, *paths: object, **facts: Any) -> None:

@@ -12,7 +12,6 @@ from casadi_models.dae.drawing import World
 from cosim.arrays import Vector
 from cosim.drawing.meshes import mesh_of
 from cosim.drawing.pose import Load, Poses
-from cosim.drawing.rotation import to_matrices
 
 LONGEST_ARROW = 0.5  # length of the longest arrow over `Scale.pose`
 PEAK = 4.0  # times the usual load of a unit that an arrow shows; larger ones are as long
@@ -122,7 +121,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         for solid in run.solids:
             vertices = mesh_of(solid).vertices
             corners = vertices[np.unique((vertices @ OUTWARD.T).argmax(axis=0))]
-            turns = to_matrices(run.quaternions[stations, solid.body])
+            turns = run.rotations[stations, solid.body]
             places = corners @ turns.swapaxes(1, 2) + run.places[stations, solid.body, None]
             clouds.append(places - shift[stations, None])
         cloud = np.concatenate(clouds, axis=1)
@@ -164,8 +163,8 @@ def _largest_loads(runs: Sequence[Poses]) -> dict[str, float]:
     for unit in dict.fromkeys(load.unit for run in runs for load in run.loads):
         sizes: list[float] = []
         for run in runs:
-            loads = [load.sizes(run.valid) for load in run.loads if load.unit == unit]
-            sizes += np.max(loads, axis=0).tolist() if loads else []
+            loads = [load.vector[run.valid] for load in run.loads if load.unit == unit]
+            sizes += np.linalg.norm(loads, axis=2).max(axis=0).tolist() if loads else []
         most = max((size for size in sizes if size > 0), default=0.0)
         acting = [size for size in sizes if size > NOTHING * most] or [0.0]
         found[unit] = min(most, PEAK * float(np.quantile(acting, USUAL, method="lower")))

@@ -14,7 +14,6 @@ from cosim.colors import FRAME_AXES, INK, LOAD, TURN
 from cosim.drawing.camera import Camera, View, camera_for, scale_of
 from cosim.drawing.meshes import mesh_of
 from cosim.drawing.pose import Poses, StartPose
-from cosim.drawing.rotation import to_matrices
 
 DIAGRAM_SIZE = (640, 480)  # pixels
 ICON_SIZE = (128, 128)
@@ -105,9 +104,9 @@ def _camera(poses: Poses) -> Camera:
 
 def _triangles(poses: Poses) -> tuple[Vector, Vector]:
     """Return the triangles of the shapes in the world, m, (n, 3, 3), and their colors (n, 3)."""
-    turned, corners, colors = to_matrices(poses.quaternions[0]), [], []
+    corners, colors = [], []
     for solid in (solid for solid in poses.solids if solid.kind != "axes"):
-        mesh = mesh_of(solid).moved(poses.places[0, solid.body], turned[solid.body])
+        mesh = mesh_of(solid).moved(poses.places[0, solid.body], poses.rotations[0, solid.body])
         color = [int(solid.color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
         corners.append(mesh.vertices[mesh.faces])
         colors.append(np.tile(color, (len(mesh.faces), 1)))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.drawing.pose import Solid
-from cosim.drawing.rotation import onto
 
 Faces = NDArray[np.int_]
 
@@ -31,7 +30,19 @@ class Mesh(NamedTuple):
 
 def mesh_of(solid: Solid) -> Mesh:
     """Return the mesh of a shape in the axes of its body."""
-    return _MAKERS[solid.kind](solid.size).moved(solid.at, solid.rotation)
+    return _MAKERS[solid.kind](solid.size).moved(solid.at, onto(solid.along))
+
+
+def onto(direction: Vector) -> Vector:
+    """Return the smallest rotation, (3, 3), that turns the third axis into a direction, (3,)."""
+    length = float(np.linalg.norm(direction))
+    if not length > 0:
+        return np.eye(3)
+    x, y, z = direction / length
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1 / (1 + z)
+    return np.array([[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]])
 
 
 def joined(parts: list[Mesh]) -> Mesh:

@@ -13,12 +13,12 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from casadi_models.units import convert
 from cosim.arrays import Vector
 from cosim.colors import INVALID, INVALID_BODY
 from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera_for, scale_of
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
-from cosim.drawing.rotation import to_matrices
 from cosim.plotting import Picture
 
 SIZE = (6.4, 4.8)  # of a picture, inches
@@ -96,8 +96,8 @@ class Stage:
                 pale = _PALE if i else _PALE * (1 - k / (len(frames) - 1)) if len(frames) > 1 else 0
                 invalid = run.time[frame] >= run.invalid_from
                 for body, mesh, color in parts:
-                    turn = to_matrices(run.quaternions[frame, body])
-                    placed = mesh.moved(run.places[frame, body] + self.moved[i][frame], turn)
+                    place = run.places[frame, body] + self.moved[i][frame]
+                    placed = mesh.moved(place, run.rotations[frame, body])
                     add(placed, _rgb(INVALID_BODY) if invalid else color, pale)
                 for load in run.loads if i == 0 else ():
                     ends = self.scale.arrow(load, frame)
@@ -189,7 +189,8 @@ class Stage:
             if per_unit:
                 load = next(load for run in self.runs for load in run.loads if load.unit == unit)
                 length = LONGEST_ARROW * self.scale.pose
-                parts.append(f"{length:.2g} m for {load.shown(length / per_unit)}")
+                size = convert(length / per_unit, load.unit, load.display_unit)
+                parts.append(f"{length:.2g} m for {size:.3g} {load.display_unit}")
         return f"arrows: {', '.join(parts)}" if parts else ""
 
 

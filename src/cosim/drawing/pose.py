@@ -11,10 +11,8 @@ from casadi import SX
 from casadi_models.dae import Dae, Drawing
 from casadi_models.dae.drawing import WORLD, Body, Shape, World
 from casadi_models.dae.scenery import DARK
-from casadi_models.units import convert
 from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import usual_start
-from cosim.drawing.rotation import continuous, onto, to_matrices, to_quaternions
 from cosim.errors import UsageError
 from cosim.series.samples import resample
 
@@ -35,7 +33,7 @@ class Solid:
         kind: A key of `casadi_models.dae.drawing.SIZES`.
         size: The numbers that `SIZES` names, m.
         at: Its center in the body's axes, m, (3,).
-        rotation: Rotation of its axes in the body's axes, (3, 3).
+        along: Its third axis in the body's axes, (3,).
         color: "#rrggbb".
     """
 
@@ -44,7 +42,7 @@ class Solid:
     kind: str
     size: tuple[float, ...]
     at: Vector
-    rotation: Vector
+    along: Vector
     color: str
 
 
@@ -59,15 +57,6 @@ class Load:
     display_unit: str
     meaning: str
     color: str
-
-    def sizes(self, frames: Truths) -> Vector:
-        """Return the magnitudes at some of the frames, SI."""
-        sizes: Vector = np.linalg.norm(self.vector[frames], axis=1)
-        return sizes
-
-    def shown(self, magnitude: float) -> str:
-        """Return a magnitude in the display unit, as text."""
-        return f"{convert(magnitude, self.unit, self.display_unit):.3g} {self.display_unit}"
 
 
 @dataclass(frozen=True)
@@ -88,8 +77,7 @@ class Poses:
         time: Times of the frames, s, (n,).
         bodies: Names of the bodies; the first is the world.
         places: Origins of the bodies, m, (n, bodies, 3).
-        quaternions: Unit quaternions (w, x, y, z), body to world, (n, bodies, 4); without jumps
-            of sign.
+        rotations: Rotation matrices, body to world, (n, bodies, 3, 3).
         solids: Shapes of the bodies.
         loads: Forces and torques.
         paths: Paths of points.
@@ -105,7 +93,7 @@ class Poses:
     time: Vector
     bodies: tuple[str, ...]
     places: Vector
-    quaternions: Vector
+    rotations: Vector
     solids: tuple[Solid, ...]
     loads: tuple[Load, ...]
     paths: tuple[Path, ...]
@@ -134,7 +122,7 @@ class Poses:
             raise UsageError(f"{self.title}: no body '{name}' to follow; there are {known}")
         body = self.bodies.index(name)
         middle = self.middle_of(body)
-        place = self.places[:, body] + to_matrices(self.quaternions[:, body]) @ middle
+        place = self.places[:, body] + self.rotations[:, body] @ middle
         up = np.array(self.world.up)
         start = place - place[0]
         along: Vector = start - np.outer(start @ up, up)  # the ground keeps its height
@@ -165,42 +153,33 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
     for run in runs:
         if run.reasons and run.time[frame] >= run.invalid_from:
             owner = f"{run.title}: " if len(runs) > 1 else ""
-            why = getattr(run.reasons[0], "what", run.reasons[0])
-            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {why}")
+            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {run.reasons[0]}")
     return " | ".join(found)
 
 
 class Values:
-    """Values of variables by name: series over time, and constants.
+    """Values of variables over time.
 
     Args:
-        time: Sample times of the series, s, (n,).
-        series: Samples by name, SI, (n,) each.
-        constants: Constants by name, SI.
+        time: Sample times, s, (n,).
+        samples: By name, SI: samples, (n,), or a constant.
     """
 
-    def __init__(
-        self, time: Vector, series: Mapping[str, Vector], constants: Mapping[str, float]
-    ) -> None:
-        self.time, self.series, self.constants = time, series, constants
+    def __init__(self, time: Vector, samples: Mapping[str, Vector | float]) -> None:
+        self.time = time
+        self._samples = {name: np.broadcast_to(own, len(time)) for name, own in samples.items()}
 
     def missing(self, expression: SX) -> list[str]:
         """Return the names of an expression's variables that have no value."""
         names = dict.fromkeys(symbol.name() for symbol in ca.symvar(expression))
-        return [name for name in names if name not in self.series and name not in self.constants]
+        return [name for name in names if name not in self._samples]
 
     def at(self, names: Sequence[str], times: Vector) -> Vector:
         """Return the values of variables, (len(names), len(times)), interpolated by `resample`."""
-        rows = np.empty((len(names), len(times)))
-        moving = [i for i, name in enumerate(names) if name in self.series]
-        if moving:
-            samples = np.column_stack([self.series[names[i]] for i in moving])
-            same = np.array_equal(times, self.time)
-            rows[moving] = (samples if same else resample(self.time, samples, times)[0]).T
-        for i, name in enumerate(names):
-            if name not in self.series:
-                rows[i] = self.constants[name]
-        return rows
+        samples = np.array([self._samples[name] for name in names])
+        samples = samples.reshape(len(names), len(self.time)).T
+        same = np.array_equal(times, self.time)
+        return (samples if same else resample(self.time, samples, times)[0]).T
 
     def evaluate(self, expression: SX, times: Vector) -> Vector:
         """Return the elements of an expression, column by column, (times, elements)."""
@@ -227,7 +206,6 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
     Loads and paths without values are left out and noted.
     """
     rows = values.evaluate(motion(drawing), times).reshape(len(times), -1, 12)
-    matrices = rows[:, :, 3:].reshape(len(times), -1, 3, 3).swapaxes(2, 3)  # CasADi: by columns
     notes: list[str] = []
 
     def available(name: str, expression: SX) -> bool:
@@ -251,7 +229,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
         time=times,
         bodies=tuple(names),
         places=rows[:, :, :3],
-        quaternions=continuous(to_quaternions(matrices)),
+        rotations=rows[:, :, 3:].reshape(len(times), -1, 3, 3).swapaxes(2, 3),  # CasADi: by columns
         solids=tuple(_solid(shape, names, values) for shape in drawing.shapes),
         loads=tuple(loads),
         paths=tuple(paths),
@@ -263,7 +241,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
 def _solid(shape: Shape, bodies: Sequence[str], values: Values) -> Solid:
     size, at, along = (values.first(part).ravel() for part in (shape.size, shape.at, shape.along))
     body = bodies.index(shape.body)
-    return Solid(shape.name, body, shape.kind, tuple(size.tolist()), at, onto(along), shape.color)
+    return Solid(shape.name, body, shape.kind, tuple(size.tolist()), at, along, shape.color)
 
 
 @dataclass(frozen=True)
@@ -311,18 +289,17 @@ def start_pose(dae: Dae) -> StartPose | None:
     bodies = replace(drawing, arrows=(), traces=())
     parts = [motion(drawing), *(a.at for a in drawing.arrows), *(a.vector for a in drawing.arrows)]
     unknown = dict.fromkeys((symbol.name() for symbol in ca.symvar(ca.vertcat(*parts))), 0.0)
-    values = Values(np.zeros(1), {}, unknown | dict(drawing.numbers) | _start_values(dae))
+    values = Values(np.zeros(1), unknown | dict(drawing.numbers) | _start_values(dae))
     with np.errstate(invalid="ignore"):  # not a number: returned as None
         poses = poses_at(bodies, values, values.time)
     signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
     merged = tuple(_merged(signs, [v.name for v in dae.variables]))
-    numbers = [poses.places, poses.quaternions, *(sign.at for sign in merged)]
+    numbers = [poses.places, poses.rotations, *(sign.at for sign in merged)]
     numbers += [part for solid in poses.solids for part in (np.array(solid.size), solid.at)]
     if not all(np.isfinite(part).all() for part in numbers):
         return None
-    turned = to_matrices(poses.quaternions[0])
     frames = tuple(
-        (body.name, poses.places[0, i], turned[i])
+        (body.name, poses.places[0, i], poses.rotations[0, i])
         for i, body in enumerate(drawing.bodies)
         if ca.symvar(body.rotation)
         and any(solid.body == i for solid in poses.solids)

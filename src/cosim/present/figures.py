@@ -23,7 +23,6 @@ from cosim.plotting import (
     LINES,
     STYLE,
     Picture,
-    invalid_text,
     keep_constant_flat,
     reject_formulas,
     shade_invalid,
@@ -45,9 +44,7 @@ def draw_panels(run: Trajectory) -> Figure:
     width = 4.2 * across
     suffix = "" if run.complete else f" ({run.status})"
     head = fill(f"{run.model}{suffix}", int(width * 11))
-    invalid_from, reasons = run.validity
-    caption = invalid_text(invalid_from, reasons, width)
-    lines = head.count("\n") + bool(caption) * (caption.count("\n") + 1)
+    lines = head.count("\n") + 2 * bool(run.validity[1])  # below the panels
     with matplotlib.rc_context(STYLE):
         figure = Picture(figsize=(width, 2.3 * down + 0.4 + 0.18 * lines), layout="constrained")
         axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
@@ -60,12 +57,10 @@ def draw_panels(run: Trajectory) -> Figure:
             axis.tick_params(labelbottom=True)
             axis.margins(x=0)
             keep_constant_flat(axis, values, _displayed_nominal(column))
-            shade_invalid(axis, run.time, invalid_from)
     for axis in axes[len(run.names) :]:
         axis.set_visible(False)
     figure.suptitle(head, fontsize=11)
-    if caption:
-        figure.supxlabel(caption, fontsize=8, color=INVALID)
+    _name_invalid(figure, [*axes[: len(run.names)]], [run], [run.model])
     return figure
 
 
@@ -388,9 +383,12 @@ def _name_invalid(
         start, reasons = run.validity
         for axis in rows:
             shade_invalid(axis, run.time, start)
-        if text := invalid_text(start, reasons, _WIDTH):
+        if reasons:
+            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+            text = f"shaded: invalid from {start:.3g} s: {reasons[0]}{more}"
             text = f"{label}, {text}" if len(runs) > 1 else text
-            captions.append(fill(text, 95, max_lines=4, placeholder=" ..."))
+            letters = int(figure.get_figwidth() * 15)
+            captions.append(fill(text, letters, max_lines=4, placeholder=" ..."))
     if captions and figure.legends:  # the layout would place both at the lower edge
         figure.legends[0].set_title("\n".join(captions), prop=FontProperties(size=7))
         figure.legends[0].get_title().set_color(INVALID)

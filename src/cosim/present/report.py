@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import casadi_models
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.printed import Printed
+from casadi_models.printed import PRINTED
 from casadi_models.units import convert
 from cosim.drawing.diagram import diagram
 from cosim.drawing.picture import draw_pose
@@ -34,7 +34,7 @@ from cosim.present.playback.page import page as playback_page
 from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.point import linearized
+from cosim.study.linearize.linearize import linearize
 from cosim.text import html_table
 from cosim.trajectory import Trajectory
 
@@ -85,7 +85,7 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    why = html.escape("; ".join(getattr(reason, "what", reason) for reason in reasons))
+    why = html.escape("; ".join(reasons))
     return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
 
 
@@ -166,7 +166,7 @@ def _linear_system(c: ReportContents) -> Linearization | None:
     values = {name: value for name, value in c.scene.request.values.items() if name in names}
     for point in ("equilibrium", "start"):
         with suppress(CosimError):
-            linear = linearized(c.dae, at=point, start_values=values)
+            linear = linearize(c.dae, at=point, start_values=values)
             return None if linear.period else linear
     return None
 
@@ -235,11 +235,7 @@ def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
     )
     if dae.full_name not in casadi_models.CATALOG or changed or scene.request.inputs is not None:
         return
-    try:
-        printed: Sequence[Printed] = import_module(f"casadi_models.{dae.name}.printed").PRINTED
-    except ModuleNotFoundError:
-        return
-    for number in printed:
+    for number in PRINTED.get(dae.name, ()):
         if number.variable not in run.names or not len(run):
             continue
         i = int(np.argmin(np.abs(run.time - number.time)))

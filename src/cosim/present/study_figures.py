@@ -16,8 +16,7 @@ from cosim.colors import CURVES, MARKERS, solver_look
 from cosim.colors import OUTCOMES as OUTCOME_COLORS
 from cosim.integrate.solvers import SOLVERS
 from cosim.plotting import LINES, STYLE, Picture
-from cosim.study.extremes.campaign import CaseFinding
-from cosim.study.extremes.oracles import OUTCOMES
+from cosim.study.extremes.oracles import OUTCOMES, CaseFinding
 from cosim.study.linearize.along import EigenvalueSweep
 from cosim.study.pareto import pareto_front
 from cosim.study.sensitivity.result import Sensitivity
@@ -140,7 +139,7 @@ def draw_map(findings: Sequence[CaseFinding]) -> Figure:
             axes = part.subplots(len(names), 1, squeeze=False, height_ratios=ratios).ravel()
             for axis, name in zip(axes, names, strict=True):
                 _family_panel(axis, name, families[name])
-        everyone = [finding.verdict.outcome for finding in findings]
+        everyone = [finding.outcome for finding in findings]
         handles = [
             Line2D(
                 [], [], marker="s", linestyle="", color=look, label=f"{text}: {everyone.count(o)}"
@@ -158,7 +157,7 @@ def _family_panel(axis: Axes, family: str, findings: Sequence[CaseFinding]) -> N
     with suppress(ValueError):  # of texts that are no numbers
         points.sort(key=float)
     for finding, (row, point) in zip(findings, places, strict=True):
-        x, y, outcome = points.index(point), rows.index(row), finding.verdict.outcome
+        x, y, outcome = points.index(point), rows.index(row), finding.outcome
         axis.plot(x, y, "s", color=LOOKS[outcome], markersize=9, markeredgewidth=0)
         if letter := LETTERS[outcome]:
             style: Any = {"fontsize": 7, "fontweight": "bold", "color": "white"}

@@ -97,7 +97,7 @@ class Curves:
         times = np.concatenate((self.rows.time, fine[inside]))
         heights = np.concatenate((self.rows.values[:, curve], seen[inside])) - level
         order = np.argsort(times, kind="stable")  # rows first: they are exact
-        time = float(first_crossing(times[order], heights[order][None])[0])
+        time = first_crossing(times[order], heights[order])
         panel = int(np.searchsorted(self.begins, time, "right")) - 1
         exact = (self.rows.values[self.rows.time == time, curve] == level).any()
         if np.isnan(time) or exact or panel < 0 or time >= self.ends[panel]:
@@ -262,26 +262,23 @@ def _joined(rows: Rows, leaves: list[tuple[float, float, Vector]], resolved: Tru
     return Curves(rows, np.array(begins), np.array(ends), np.array(values), resolved)
 
 
-def first_crossing(time: Vector, heights: Vector) -> Vector:
-    """Return the time when each row first is or crosses zero, by linear interpolation; else NaN.
+def first_crossing(time: Vector, heights: Vector) -> float:
+    """Return the time when heights, (times,), first are or cross zero; NaN if they never do.
 
-    Args:
-        time: s, (times,).
-        heights: (rows, times).
+    It is interpolated linearly between times, s, (times,).
     """
-    before, after = heights[:, :-1], heights[:, 1:]
     with np.errstate(invalid="ignore"):
-        passes = (before == 0) | (before * after < 0)
-    passes = np.concatenate((passes, heights[:, -1:] == 0), axis=1)
-    at = passes.argmax(axis=1)
-    rows = np.arange(len(heights))
-    nearest = np.minimum(at + 1, heights.shape[1] - 1)
-    left, right = heights[rows, at], heights[rows, nearest]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        part = np.where(left == 0, 0.0, left / (left - right))
+        passes = np.append(heights[:-1] * heights[1:] < 0, False) | (heights == 0)
+    places = np.flatnonzero(passes)
+    if not places.size:
+        return float("nan")
+    at = int(places[0])
+    left = heights[at]
+    if left == 0:
+        return float(time[at])
     with np.errstate(invalid="ignore"):
-        found = time[at] + part * (time[nearest] - time[at])
-    return np.where(passes.any(axis=1), found, np.nan)
+        part = left / (left - heights[at + 1])
+        return float(time[at] + part * (time[at + 1] - time[at]))
 
 
 def _times(begins: Vector, ends: Vector, at: Vector) -> Vector:

@@ -18,13 +18,12 @@ from cosim.study.extremes import oracles
 from cosim.study.extremes.campaign import (
     HANG,
     WRONG,
-    CaseFinding,
     explore,
     extremes,
     family_rows,
     select_cases,
 )
-from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, assess
+from cosim.study.extremes.oracles import OUTCOMES, CaseFinding, assess
 
 CASES = list(catalogue())
 SLOWEST = "lean 89.99 deg"  # its references fail after seconds, and then others are tried
@@ -57,7 +56,7 @@ def test_no_case_of_a_family_has_a_wrong_outcome(family):
     members = [case for case in select_cases() if case.family == family]
     # one process, so that cases of the same values share their reference
     findings = list(explore(members, jobs=1))
-    assert [f.row() for f in findings if f.verdict.outcome in WRONG] == []
+    assert [f.row() for f in findings if f.outcome in WRONG] == []
 
 
 @pytest.mark.slow
@@ -130,8 +129,8 @@ def test_hang_and_crash_of_a_child_are_counted_and_the_next_case_runs(tmp_path):
     good = find("crank: spin", "omega = 1e0 rad/s", "crank_shaft/driven")
     cases = [Case("own", name, f"{file}:{name}") for name in ("hangs", "dies")]
     findings = list(explore([*cases, good], timeout=8, jobs=1))
-    assert [f.verdict.outcome for f in findings] == ["hang", "crash", "accurate"]
-    assert "code 3" in findings[1].verdict.reason
+    assert [f.outcome for f in findings] == ["hang", "crash", "accurate"]
+    assert "code 3" in findings[1].reason
 
 
 def test_function_and_command_have_the_same_time_limit(monkeypatch, capsys):
@@ -175,7 +174,7 @@ def test_command_returns_4_if_a_case_is_silent(monkeypatch, capsys):
 
 def test_summary_counts_every_outcome_and_names_the_worst():
     findings = [
-        CaseFinding(Case("f", name, "m/x"), CaseEnding(outcome, error, "", 0.0))
+        CaseFinding(Case("f", name, "m/x"), outcome, error, "", 0.0)
         for name, outcome, error in (
             ("a", "accurate", 1e-9),
             ("b", "accurate", 1e-7),
@@ -189,9 +188,7 @@ def test_summary_counts_every_outcome_and_names_the_worst():
 
 def test_map_labels_values_and_solvers():
     findings = [
-        CaseFinding(
-            Case("spin", f"omega = {v} rad/s, {s}", "m/x", solver=s), CaseEnding(o, None, "", 0.0)
-        )
+        CaseFinding(Case("spin", f"omega = {v} rad/s, {s}", "m/x", solver=s), o, None, "", 0.0)
         for v, s, o in (
             ("1", "erk", "accurate"),
             ("1e-09", "erk", "failed"),
@@ -209,9 +206,7 @@ def test_map_labels_values_and_solvers():
 
 def test_map_names_the_parameter_of_a_row_if_there_are_several():
     findings = [
-        CaseFinding(
-            Case("masses", f"{name} x {factor}", model), CaseEnding("accurate", None, "", 0.0)
-        )
+        CaseFinding(Case("masses", f"{name} x {factor}", model), "accurate", None, "", 0.0)
         for name, factor, model in (("mB", "1", "m/x"), ("mC", "1", "m/x"), ("mB", "10", "n/x"))
     ]
     (axis,) = draw_map(findings).get_axes()
@@ -221,7 +216,7 @@ def test_map_names_the_parameter_of_a_row_if_there_are_several():
 
 
 def test_map_shows_each_outcome_in_its_own_color(tmp_path):
-    findings = [CaseFinding(Case("f", o, "m/x"), CaseEnding(o, None, "", 0.0)) for o in OUTCOMES]
+    findings = [CaseFinding(Case("f", o, "m/x"), o, None, "", 0.0) for o in OUTCOMES]
     (path,) = save([draw_map(findings)], str(tmp_path / "map.png"))
     pixels = matplotlib.image.imread(path)[..., :3].reshape(-1, 3)
     assert len(np.unique((pixels * 8).astype(int), axis=0)) > len(OUTCOMES)

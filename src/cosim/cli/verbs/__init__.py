@@ -35,12 +35,13 @@ def _read() -> dict[str, Verb]:
         tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
         for name in ("options.toml", "verbs.toml")
     )
-    found = {}
+    found, section = {}, ""
     for verb, table in verbs.items():
+        section = table.get("section", section)
         names = _single([*table["options"], "common"], shared["sets"])
         options = {name: _option(name, table, shared) for name in names}
         examples, exclusive = (tuple(table.get(key, ())) for key in ("examples", "exclusive"))
-        found[verb] = Verb(table["section"], table["summary"], examples, options, exclusive)
+        found[verb] = Verb(section, table["summary"], examples, options, exclusive)
     return found
 
 
@@ -53,8 +54,9 @@ def _single(names: Sequence[str], sets: Mapping[str, Sequence[str]]) -> Iterator
 def _option(name: str, own: Tables, shared: Tables) -> Tables:
     """Return the fields of an option: the shared ones, and those that a verb replaces."""
     topic = next(t for t in _TOPICS if name in own.get(t, ()) or name in shared[t])
-    fields = {**shared[topic].get(name, {}), **own.get(topic, {}).get(name, {})}
-    return fields | {"topic": topic}
+    fields = {**shared[topic].get(name, {}), **own.get(topic, {}).get(name, {}), "topic": topic}
+    texts = own.get("help", {})
+    return fields | {"help": texts[name]} if name in texts else fields
 
 
 VERBS = _read()

@@ -3,10 +3,11 @@
 import argparse
 import sys
 
-from cosim.cli.tables import show_table, write_text
+from cosim.cli.tables import draw, show_table, write_text
 from cosim.host.progress import doing
 from cosim.study.extremes import campaign
-from cosim.study.extremes.campaign import WRONG, CaseFinding
+from cosim.study.extremes.campaign import WRONG
+from cosim.study.extremes.oracles import CaseFinding
 from cosim.text import csv_text
 
 
@@ -27,13 +28,9 @@ def run(args: argparse.Namespace) -> int:
     rows = [finding.row() for finding in findings]
     if args.output_file:
         write_text(args.output_file, csv_text(rows))
-    if args.figure:
-        from cosim.plotting import save
-        from cosim.present.study_figures import draw_map
-
-        save([draw_map(findings)], args.figure)
+    draw(args, "extremes", findings)
     show_table(rows if args.json else campaign.family_rows(findings), as_json=args.json)
-    return 4 if any(finding.verdict.outcome in WRONG for finding in findings) else 0
+    return 4 if any(finding.outcome in WRONG for finding in findings) else 0
 
 
 def _report(finding: CaseFinding, count: str, *, every: bool) -> None:

@@ -14,14 +14,13 @@ from cosim.cli.arguments import (
     start_values_of_fmu,
     value_of,
 )
-from cosim.cli.tables import note, show_table, write_text
+from cosim.cli.tables import draw, note, show_table, write_text
 from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.linearize.linearization import Linearization, Mode
-from cosim.study.linearize.linearize import linearize
-from cosim.study.linearize.point import EQUILIBRIUM, START
+from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 from cosim.text import csv_text
 
 
@@ -74,11 +73,7 @@ def _along(
     found = evaluate(model, along={name: values}, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, csv_text(found.rows()))
-    if args.figure:
-        from cosim.plotting import save
-        from cosim.present.study_figures import draw_eigenvalues
-
-        save([draw_eigenvalues(found)], args.figure)
+    draw(args, "eigenvalues", found)
     crossings = [crossing.row(name) for crossing in found.crossings]
     if args.json:
         print(json.dumps({"eigenvalues": found.rows(), "crossings": crossings}, indent=1))

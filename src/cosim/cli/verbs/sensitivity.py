@@ -4,7 +4,7 @@ import argparse
 import json
 
 from cosim.cli.arguments import names_in, scene_from
-from cosim.cli.tables import note, show_table
+from cosim.cli.tables import draw, note, show_table
 from cosim.study.sensitivity.sensitivity import DERIVATIVE_TOLERANCE, sensitivity
 
 ROWS_PER_OUTPUT = 12
@@ -31,11 +31,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.output_file:
         found.to_csv(args.output_file)
-    if args.figure:
-        from cosim.plotting import save
-        from cosim.present.study_figures import draw_sensitivity
-
-        save([draw_sensitivity(found)], args.figure)
+    draw(args, "sensitivity", found)
     rows = found.ranking()
     if args.json:
         check = None if found.check is None else vars(found.check)

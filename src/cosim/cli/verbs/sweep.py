@@ -110,4 +110,4 @@ def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) 
 
 
 def _si_value(subject: Subject, name: str, text: str) -> float:
-    return value_in(name, text.strip(), subject.unit(name))
+    return value_in(name, text.strip(), subject.unit(name) if subject.takes_units else None)

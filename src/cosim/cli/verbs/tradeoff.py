@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from cosim.cli.arguments import names_in, numbers_in, options_in, scene_from, start_texts
-from cosim.cli.tables import show_table, write_text
+from cosim.cli.tables import draw, show_table, write_text
 from cosim.coupling.files import is_system, read_system
 from cosim.coupling.system import System
 from cosim.errors import UsageError
@@ -45,15 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output_file:
         text = study.to_json() if args.output_file.endswith(".json") else study.to_csv()
         write_text(args.output_file, text)
-    if args.figure:
-        from cosim.plotting import save
-        from cosim.present import study_figures
-
-        if isinstance(study, Tradeoff):
-            figure = study_figures.draw_tradeoff(study)
-        else:
-            figure = study_figures.draw_methods(study)
-        save([figure], args.figure)
+    draw(args, "tradeoff" if isinstance(study, Tradeoff) else "methods", study)
     if args.json:
         write_text(None, study.to_json())
     elif isinstance(study, Tradeoff):

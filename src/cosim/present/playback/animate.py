@@ -5,11 +5,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf, pi, radians
+from math import pi, radians
 from pathlib import Path
 from typing import Any
 from warnings import warn
-from xml.etree import ElementTree
 
 import casadi as ca
 import matplotlib
@@ -18,7 +17,7 @@ from casadi import SX
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
 import casadi_models
-from casadi_models.dae import Dae, Drawing
+from casadi_models.dae import Dae, Drawing, Start
 from cosim.api import simulate
 from cosim.codegen.c_sources import source_text
 from cosim.codegen.casadi_library import generated
@@ -28,8 +27,11 @@ from cosim.drawing.pose import POINT, Poses, motion
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.export.build import compiled_library
+from cosim.fmi.export.model_description import meant_bounds
 from cosim.fmi.export.options import FmuOptions
-from cosim.fmi.export.package import source_files
+from cosim.fmi.export.package import files_of
+from cosim.fmi.export.plan import Plan, planned
+from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.fmi.platforms import WEB_PAGE
 from cosim.host.optional_packages import optional_module
 from cosim.host.progress import doing
@@ -299,7 +301,7 @@ def guessed_model(paths: Sequence[str]) -> str:
     return fitting[0]
 
 
-_SLIDERS = {"input": "input", "parameter": "parameter", "local": "start", "output": "start"}
+_SLIDERS = {Role.INPUT: "input", Role.PARAMETER: "parameter", Role.STATE: "start"}
 
 
 def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
@@ -313,9 +315,10 @@ def live_part(dae: Dae, run: Trajectory) -> dict[str, Any]:
         MissingTool: ziglang is not installed, or it fails.
         UsageError: The run holds variables that the model's FMU lacks.
     """
-    content = source_files(dae, FmuOptions())
-    sources = {Path(p).name: c for p, c in content.items() if p.startswith("sources/")}
-    variables = _variables(content["modelDescription.xml"])
+    plan = planned(dae, FmuOptions())
+    files = files_of(plan)
+    sources = {Path(p).name: c for p, c in files.items() if p.startswith("sources/")}
+    variables = _variables(plan)
     for name in run.names:
         if name not in variables:
             raise UsageError(f"{dae.full_name}: '{name}' is no variable of its FMU; record others")
@@ -380,31 +383,27 @@ def _picture(drawing: Drawing) -> tuple[int, SX]:
     return sum(shape.numel() for shape in shapes), picture
 
 
-def _variables(description: bytes) -> dict[str, dict[str, Any]]:
+def _variables(plan: Plan) -> dict[str, dict[str, Any]]:
     """Return what a page knows of an FMU's variables; those with a `value` can be set."""
     found = {}
-    for variable in ElementTree.fromstring(description).iter("ScalarVariable"):
-        if (real := variable.find("Real")) is None:
-            continue
-        name, causality = variable.attrib["name"], variable.get("causality", "local")
-        unit, meaning = real.get("unit", "1"), variable.get("description", "")
-        facts = column_facts(Column(name, unit, real.get("displayUnit"), meaning=meaning))
-        found[name] = facts | {"reference": int(variable.attrib["valueReference"])}
-        if causality in ("input", "parameter") or variable.get("initial") == "exact":
-            value = float(real.get("start", 0))
-            low, high = _range(value, real)
-            found[name] |= {"kind": _SLIDERS[causality], "value": value, "low": low, "high": high}
+    for reference, v in enumerate(plan.variables):
+        facts = column_facts(Column(v.name, v.unit, v.display_unit, meaning=v.meaning))
+        found[v.name] = facts | {"reference": reference}
+        if v.role is Role.INPUT or v.start_kind is Start.EXACT:
+            value = v.start or 0.0
+            low, high = _range(value, v)
+            found[v.name] |= {"kind": _SLIDERS[v.role], "value": value, "low": low, "high": high}
     return found
 
 
-def _range(value: float, real: ElementTree.Element) -> tuple[float, float]:
+def _range(value: float, variable: FmuVariable) -> tuple[float, float]:
     """Return the ends of a slider: up to twice the value, or the nominal value to both sides.
 
     An angle goes around once at most.
     """
-    least, most = float(real.get("min", -inf)), float(real.get("max", inf))
-    reach = abs(value) or float(real.get("nominal", 1))
-    if real.get("unit") == "rad":
+    least, most = meant_bounds(variable)
+    reach = abs(value) or variable.nominal
+    if variable.unit == "rad":
         reach = min(max(reach, radians(60)), pi)
     low = 0.1 * value if least >= 0 < value else value - reach
     return max(least, low), min(most, value + reach)

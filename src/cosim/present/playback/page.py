@@ -32,7 +32,6 @@ from cosim.drawing.camera import (
     scale_of,
 )
 from cosim.drawing.pose import Poses
-from cosim.drawing.rotation import to_matrices
 from cosim.errors import MissingTool
 from cosim.series.samples import Column, resample
 from cosim.trajectory import Trajectory
@@ -189,7 +188,7 @@ def column_facts(column: Column) -> dict[str, Any]:
 def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]:
     """Return a recorded run; its numbers are those that scene.js and player.js read."""
     n = len(played.time)
-    turns = to_matrices(played.quaternions).swapaxes(2, 3).reshape(n, -1, 9)
+    turns = played.rotations.swapaxes(2, 3).reshape(n, -1, 9)
     parts = [np.concatenate([played.places, turns], axis=2).reshape(n, -1)]
     parts += [np.hstack([load.at, load.vector]) for load in played.loads]
     parts += [resample(run.time, path.points, played.time)[0] for path in played.paths]
@@ -197,7 +196,7 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
     known, missing = {**run}, np.full(len(run), np.nan)
     curves = (known.get(name, missing) for name in names)
     numbers = np.concatenate([played.time, rows.T.ravel(), run.time, *curves]).astype("<f4")
-    shapes = [[*s.size, *s.at.tolist(), *s.rotation[:, 2].tolist()] for s in played.solids]
+    shapes = [[*s.size, *s.at.tolist(), *s.along.tolist()] for s in played.solids]
     return {
         "title": played.title,
         "packed": packed(numbers.tobytes()),
@@ -207,7 +206,7 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
         "shapes": [number for shape in shapes for number in shape],
         "events": [[event.time, event.name] for event in run.events],
         "invalid_from": played.invalid_from if isfinite(played.invalid_from) else None,
-        "reasons": [getattr(reason, "what", reason) for reason in played.reasons],
+        "reasons": played.reasons,
         "stopped": run.status != "complete",
     }
 

@@ -53,7 +53,7 @@ def playback(
         raise UsageError(f"{run.model} declares no shapes; add some with model.shape(...)")
     if not len(run):
         raise UsageError(f"{run.model}: the run has no output times, so nothing can be drawn")
-    values = Values(run.time, {"time": run.time, **dict(run)}, drawing.numbers)
+    values = Values(run.time, {**drawing.numbers, "time": run.time, **dict(run)})
     if missing := values.missing(motion(drawing)):
         raise UsageError(
             f"{run.model}: the run did not record {', '.join(missing)}, which place the bodies; "

@@ -9,10 +9,9 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from importlib import import_module
-from math import isfinite
 from time import perf_counter
 from typing import Any
 
@@ -22,7 +21,7 @@ from cosim.host.child import Child, answer_questions, look_where_the_parent_does
 from cosim.host.limits import MOST_WAIT
 from cosim.model.catalogue import formulations
 from cosim.model.values import time_limit_from
-from cosim.study.extremes.oracles import OUTCOMES, CaseEnding, Runner, assess
+from cosim.study.extremes.oracles import OUTCOMES, CaseFinding, Runner, assess
 from cosim.text import Table
 
 WRONG = ("silent", "unverified", "hang", "crash")  # outcomes that are defects
@@ -30,28 +29,6 @@ HANG = 120.0  # time limit of a case, s
 LONGER = 10  # factor of the time limit for cases that simulate an hour
 MODULE = "cosim.study.extremes.campaign"
 RUNNER = "cosim.study.extremes.oracles:run_case"
-
-
-@dataclass(frozen=True)
-class CaseFinding:
-    """A case and its outcome."""
-
-    case: Case
-    verdict: CaseEnding
-
-    def row(self) -> dict[str, Any]:
-        """Return the finding as a row of a table, for CSV and JSON too."""
-        error = self.verdict.error
-        return {
-            "family": self.case.family,
-            "model": self.case.model,
-            "case": self.case.name,
-            "outcome": self.verdict.outcome,
-            "error": error if error is None or isfinite(error) else None,
-            "bound": self.case.bound,
-            "seconds": round(self.verdict.seconds, 3),
-            "reason": self.verdict.reason,
-        }
 
 
 def select_cases(models: Sequence[str] = (), *, long: bool = False) -> list[Case]:
@@ -113,7 +90,8 @@ def explore(
         if not hasattr(own, "worker"):
             own.worker = _CaseWorker(runner)
             workers.append(own.worker)
-        return CaseFinding(case, own.worker.assess(case, LONGER * limit if case.long else limit))
+        worker: _CaseWorker = own.worker
+        return worker.assess(case, LONGER * limit if case.long else limit)
 
     pool = ThreadPoolExecutor(jobs)
     try:
@@ -131,12 +109,12 @@ def family_rows(findings: Iterable[CaseFinding]) -> list[dict[str, Any]]:
         families.setdefault(finding.case.family, []).append(finding)
     rows = []
     for family, members in families.items():
-        counts = Counter(finding.verdict.outcome for finding in members)
-        accurate = [f for f in members if f.verdict.outcome == "accurate"]
-        worst = max(accurate, key=lambda f: f.verdict.error or 0.0, default=None)
+        counts = Counter(finding.outcome for finding in members)
+        accurate = [f for f in members if f.outcome == "accurate"]
+        worst = max(accurate, key=lambda f: f.error or 0.0, default=None)
         row = {"family": family, "cases": len(members)}
         row |= {outcome: counts[outcome] for outcome in OUTCOMES}
-        row["worst error"] = worst and worst.verdict.error
+        row["worst error"] = worst and worst.error
         row["at"] = worst and f"{worst.case.model}, {worst.case.name}"
         rows.append(row)
     return rows
@@ -146,7 +124,8 @@ def _answer(runner: Runner, question: str) -> str:
     """Run and assess a case that is given as JSON; answer as JSON."""
     facts = json.loads(question)
     facts["references"] = tuple(Counterpart(**each) for each in facts["references"])
-    return json.dumps(assess(Case(**facts), runner))
+    _, *ending = assess(Case(**facts), runner)
+    return json.dumps(ending)
 
 
 class _CaseWorker:
@@ -158,12 +137,12 @@ class _CaseWorker:
         self._is_closed = False
         self._process = self._start()
 
-    def assess(self, case: Case, timeout: float) -> CaseEnding:
+    def assess(self, case: Case, timeout: float) -> CaseFinding:
         began = perf_counter()
         guard = threading.Timer(min(timeout, MOST_WAIT), self._process.kill)
         guard.start()
         try:
-            return CaseEnding(*json.loads(self._process.ask(json.dumps(asdict(case)))))
+            return CaseFinding(case, *json.loads(self._process.ask(json.dumps(asdict(case)))))
         except (OSError, EOFError):
             seconds, code = perf_counter() - began, self._process.end()
             with self._lock:
@@ -172,8 +151,8 @@ class _CaseWorker:
         finally:
             guard.cancel()
         if seconds >= timeout:
-            return CaseEnding("hang", None, f"killed after {timeout:g} s", seconds)
-        return CaseEnding("crash", None, f"the process ended with code {code}", seconds)
+            return CaseFinding(case, "hang", None, f"killed after {timeout:g} s", seconds)
+        return CaseFinding(case, "crash", None, f"the process ended with code {code}", seconds)
 
     def close(self) -> None:
         """End the child process, also while it runs a case."""

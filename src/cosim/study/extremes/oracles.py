@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
+from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -20,20 +21,35 @@ _model_of = cache(load)
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
-class CaseEnding(NamedTuple):
-    """Outcome of a case.
+class CaseFinding(NamedTuple):
+    """A case and its outcome.
 
     Attributes:
+        case: The case.
         outcome: One of `OUTCOMES`.
         error: Measured relative error (1); None if the run has no result.
         reason: Why it was refused or failed, or what the run reports of its validity.
         seconds: Elapsed time, including the measurement of the error, s.
     """
 
+    case: Case
     outcome: str
     error: float | None
     reason: str
     seconds: float
+
+    def row(self) -> dict[str, Any]:
+        """Return the finding as a row of a table, for CSV and JSON too."""
+        return {
+            "family": self.case.family,
+            "model": self.case.model,
+            "case": self.case.name,
+            "outcome": self.outcome,
+            "error": self.error if self.error is None or isfinite(self.error) else None,
+            "bound": self.case.bound,
+            "seconds": round(self.seconds, 3),
+            "reason": self.reason,
+        }
 
 
 def run_case(case: Case) -> Trajectory:
@@ -60,14 +76,14 @@ def _run(
 Runner = Callable[[Case], Trajectory]
 
 
-def assess(case: Case, runner: Runner = run_case) -> CaseEnding:
+def assess(case: Case, runner: Runner = run_case) -> CaseFinding:
     """Run a case, measure its error, and return its outcome."""
     began = perf_counter()
     try:
         outcome, error, reason = _assess(case, runner)
     except Exception as defect:  # an error that is none of `CosimError` counts as a crash
         outcome, error, reason = "crash", None, f"{type(defect).__name__}: {defect}"
-    return CaseEnding(outcome, error, reason, perf_counter() - began)
+    return CaseFinding(case, outcome, error, reason, perf_counter() - began)
 
 
 def _assess(case: Case, runner: Runner) -> tuple[str, float | None, str]:

@@ -1,28 +1,26 @@
 """`equilibrium`: the steady or periodic motion that Newton's method finds near a state."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import InitialConditionError
 from cosim.model.values import Values
+from cosim.study.linearize.local import at_point, followed, influence
+from cosim.study.linearize.period_map import ACCURACY, PeriodMap
 from cosim.study.linearize.spectrum import without_influence
 from cosim.text import counted
 
 MOST_NEWTON_STEPS = 60
+AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
 
-Motion = Callable[[Vector], tuple[Vector, Vector]]
 
-
-def equilibrium(
-    dae: Dae, x: Vector, values: Values, motion: Motion, depends: Truths, kind: str, accuracy: float
-) -> tuple[Vector, str]:
+def equilibrium(dae: Dae, x: Vector, values: Values, over: PeriodMap | None) -> tuple[Vector, str]:
     """Return the steady state that Newton's method reaches, and its description.
 
     If several states can move, the step of least norm is taken. Invariants stay zero. Cyclic
@@ -32,17 +30,15 @@ def equilibrium(
         dae: The model.
         x: The state at which Newton's method begins.
         values: Values of inputs and parameters.
-        motion: Rates of a state, and their derivatives by the states.
-        depends: Whether a rate depends on a state.
-        kind: What is found, "equilibrium".
-        accuracy: Largest rate of a state at rest, in nominal values per second.
+        over: The map over a period for a periodic motion; None for an equilibrium.
 
     Raises:
         InitialConditionError: There is none.
     """
+    depends = influence(dae) if over is None else over.influence
     cyclic, driven = without_influence(depends), [bool(row.any()) for row in depends]
     free = [i for i in range(len(x)) if i not in cyclic]
-    search = _Search(dae, values, motion, kind, accuracy)
+    search = _Search(dae, values, over)
     # A state whose rate depends on no state, e.g. a prescribed speed, retains its value, unless
     # there is no equilibrium with it
     try:
@@ -55,9 +51,26 @@ def equilibrium(
 class _Search:
     dae: Dae
     values: Values
-    motion: Motion
-    kind: str
-    accuracy: float
+    over: PeriodMap | None
+
+    @property
+    def kind(self) -> str:
+        return "equilibrium" if self.over is None else "periodic motion"
+
+    @property
+    def accuracy(self) -> float:
+        """Largest rate of a state at rest, in nominal values per second."""
+        return AT_REST if self.over is None else ACCURACY / self.over.period
+
+    def motion(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return rates, or their mean over a period, and their derivatives by the states."""
+        if self.over is not None:
+            after = self.over(x)
+            moved, slopes = after.x - x, after.by_x - np.eye(len(x))
+            return moved / self.over.period, slopes / self.over.period
+        own, u, _ = followed(self.dae, 0.0, x, self.values)
+        rates, _, jacobian = at_point(own, (), 0.0, x, replace(self.values, u=u))
+        return rates, jacobian[: len(x), : len(x)]
 
     def rest(self, x: Vector, resting: list[int], movable: list[int]) -> tuple[Vector, str]:
         """Return the state in which the `resting` states are at rest, and its description.

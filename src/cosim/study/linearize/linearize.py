@@ -4,12 +4,26 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TypedDict, Unpack, overload
 
+import numpy as np
+
 from casadi_models.dae import Dae
-from cosim.errors import UsageError
+from cosim.arrays import Vector
+from cosim.errors import UnknownName, UsageError
+from cosim.integrate.initial_values import start_values as consistent_start
+from cosim.integrate.keywords import requested
+from cosim.integrate.run import run
 from cosim.model.catalogue import load
+from cosim.model.reduction import checked_outputs
+from cosim.model.values import Values, assign, number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
+from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.point import linearized
+from cosim.study.linearize.local import local_system
+from cosim.study.linearize.of_fmu import linearized_fmu
+from cosim.study.linearize.period import period_of
+from cosim.study.linearize.period_map import ACCURACY, PeriodMap
+
+START, EQUILIBRIUM = "start", "equilibrium"
 
 
 class PointKeywords(TypedDict, total=False):
@@ -73,18 +87,105 @@ def linearize(
         >>> len(found.values)
         2
     """
+    if isinstance(model, str) and not model.endswith(".fmu"):
+        model = load(model)
     if along is None:
-        return linearized(model, **options)
+        return _linearized(model, **options)
     if not isinstance(along, Mapping) or len(along) != 1:
         raise UsageError.of_type("linearize: along", along, "one name with its values")
     ((name, values),) = along.items()
-    dae = load(model) if isinstance(model, str) and not model.endswith(".fmu") else model
-    if not isinstance(dae, Dae):
+    if not isinstance(model, Dae):
         raise UsageError(f"{model}: an FMU is linearized at one state; leave along out")
     given = options.get("start_values") or {}
 
     def point(value: float) -> Linearization:
         at_value: PointKeywords = {**options, "start_values": {**given, name: value}}
-        return linearized(dae, **at_value)
+        return _linearized(model, **at_value)
 
-    return eigenvalue_sweep(dae, name, values, point)
+    return eigenvalue_sweep(model, name, values, point)
+
+
+def _linearized(
+    model: Dae | str | os.PathLike[str],
+    *,
+    at: str | float = START,
+    start_values: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
+    solver: str | None = None,
+    relative_tolerance: float | None = None,
+) -> Linearization:
+    """Return the linear system near one state; see `linearize`."""
+    if isinstance(at, str) and at not in (START, EQUILIBRIUM):
+        raise UnknownName.among("linearize", "point", at, (START, EQUILIBRIUM, "a time in s"))
+    if not isinstance(at, str):
+        at = number("linearize", "at", at)
+    if not isinstance(model, Dae):
+        if at != START:
+            raise UsageError(
+                f"{model}: an FMU can be linearized at its initial state only; set start_values, "
+                "or linearize the model"
+            )
+        return linearized_fmu(model, start_values, outputs)
+    dae, values = model, assign(model, start_values)
+    names = tuple(v.name for v in dae.output_variables)
+    if outputs is not None:
+        names = checked_outputs(dae, outputs)
+    period = period_of(dae, values)
+    if isinstance(at, float):
+        states = [v.name for v in dae.states]
+        request = requested(
+            dae,
+            start_values=start_values,
+            stop_time=at,
+            output_interval=abs(at) or 1.0,
+            solver=solver,
+            relative_tolerance=relative_tolerance,
+            outputs=states,
+        )
+        x, time, point = run(request).values[-1], at, f"{at:g} s of a run"
+    else:
+        x, time, point = consistent_start(dae, 0.0, values), 0.0, "its initial state"
+    over = None
+    if period is not None:
+        over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
+    if at == EQUILIBRIUM:
+        x, point = equilibrium(dae, x, values, over)
+    return _linear_system(dae, names, time, x, values, point, over)
+
+
+def _linear_system(
+    dae: Dae,
+    names: tuple[str, ...],
+    time: float,
+    x: Vector,
+    values: Values,
+    point: str,
+    over: PeriodMap | None,
+) -> Linearization:
+    """Return the linear system at a state, or the map over a period from there."""
+    local = local_system(dae, names, time, x, values, point)
+    if over is not None:
+        after, n = over(x), len(x)
+        local = local._replace(
+            jacobian=np.vstack((np.hstack((after.by_x, after.by_u)), local.jacobian[n:])),
+            influence=over.influence,
+            noise=ACCURACY * np.abs(after.by_x),
+            rates=(after.x - x) / over.period,
+        )
+    return Linearization.from_jacobian(
+        local.jacobian,
+        depends=local.influence,
+        noise=local.noise,
+        model=dae.full_name,
+        states=tuple(v.name for v in dae.states),
+        inputs=tuple(v.name for v in dae.inputs),
+        outputs=names,
+        time=time,
+        x=x,
+        u=values.u,
+        y=local.outputs,
+        rates=local.rates,
+        nominal=np.array([v.nominal for v in dae.states]),
+        point=point,
+        period=over.period if over else None,
+    )

@@ -71,6 +71,8 @@ class ModelSubject:
     Other processes receive it by pickle.
     """
 
+    takes_units = True  # in texts of its values
+
     def __init__(self, request: RunRequest) -> None:
         dae, self._request = request.dae, request
         self.name = dae.full_name
@@ -89,11 +91,7 @@ class ModelSubject:
         times = self._with(settings).times
         return times.requested if times.own else times.grid(self._request.dae)
 
-    def unit(self, name: str) -> str | None:
-        """Return the unit of a quantity that can be varied."""
-        return self.own_unit(name)
-
-    def own_unit(self, name: str) -> str:
+    def unit(self, name: str) -> str:
         """Return the unit of the numbers of a quantity."""
         return settable_variable(self._request.dae, name).unit
 
@@ -154,6 +152,8 @@ class FmuSubject:
             copy in a worker.
     """
 
+    takes_units = False  # numbers are in the FMU's own
+
     def __init__(self, path: str, *, apart: bool = False) -> None:
         self._path, self._fmu, self._apart = path, OpenedFmu(path), apart
         atexit.register(self.close)
@@ -177,11 +177,7 @@ class FmuSubject:
         """Return the output times of every run, s."""
         return self._fmu.request(**_taken(settings)).grid
 
-    def unit(self, name: str) -> str | None:
-        """Return None: numbers are in the FMU's own units, and texts cannot have a unit."""
-        return None
-
-    def own_unit(self, name: str) -> str:
+    def unit(self, name: str) -> str:
         """Return the unit of the numbers of a quantity; "1" if the FMU has none."""
         return str(by_name(self._fmu.description)[name].unit or "1")
 

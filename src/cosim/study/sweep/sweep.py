@@ -310,7 +310,7 @@ def sweep(
     block = _block_size(len(chosen), len(time) * len(names), in_lanes=in_lanes)
     layout = Layout(
         manifest, chosen, columns, time, stored, block, not opened.knows_motion(recorded),
-        {name: opened.own_unit(name) for name in chosen.columns},
+        {name: opened.unit(name) for name in chosen.columns},
     )  # fmt: skip
     with ExitStack() as held:
         if scheduler is not None:  # this process waits for workers, which end with it

@@ -6,7 +6,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Unpack
 
-from cosim import backend as backends
 from cosim.backend import Backend
 from cosim.codegen.compiler import find_compiler, has_compiler
 from cosim.coupling.system import System
@@ -15,6 +14,7 @@ from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.exported import run_file
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import Keywords
+from cosim.integrate.run import run as execute
 from cosim.integrate.solvers import SOLVERS
 from cosim.model.catalogue import load, observable
 from cosim.model.reduction import size
@@ -294,7 +294,7 @@ def run_configuration(configuration: Configuration, folder: Path) -> Trajectory:
     """Run a configuration; each FMU is exported once, to a folder."""
     request, interface = configuration.request, configuration.backend.interface
     if interface is None:
-        return backends.run(request, configuration.backend)
+        return execute(request)
     small = "_reduced" if configuration.reduced else ""
     path = folder / f"{configuration.model.replace('/', '_')}{small}.fmu"
     if not path.exists():
