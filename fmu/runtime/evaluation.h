@@ -220,7 +220,7 @@ static void begin_watching(Instance *self) {
 }
 
 /* Return `status` if the model has passed a singular configuration since the last check, or if
-   what slides is moved by an importer that does not tell how; discard where that cannot be told. */
+   what slides is moved by an importer that does not tell how; discard where that is unknown. */
 static Status look_back(Instance *self, Status status) {
     const bool exchange = self->state.interface == INTERFACE_ME;
     const Status completed = exchange ? complete_step(self, status) : OK;

@@ -65,7 +65,7 @@ static bool ask_for_motion(Instance *self, double end) {
         memcpy(u[k], now, NU * sizeof *now);
     }
     memcpy(now, u[0], NU * sizeof *now);
-    if (!(h > 0)) return true; /* rounding has left nothing of the step */
+    if (!(h > 0)) return true;     /* rounding has left nothing of the step */
     for (int i = 0; i < NU; i++) { /* by forward differences, which are 0 where inputs rest */
         const double a = u[1][i] - u[0][i], b = u[2][i] - u[1][i], c = u[3][i] - u[2][i];
         const double second = b - a, third = c - b - second, first = a - second / 2 + third / 3;
