@@ -210,3 +210,18 @@ def test_derivatives_of_too_long_a_grid_are_left_out_or_refused():
     assert run.size_out("xf") == (11, 1001)
     with pytest.raises(UsageError, match="derivatives at 1001 output times are 3e"):
         cosim.integrator(dae, grid, solver="dop853", derivatives=True)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_derivatives_of_a_small_state_are_as_accurate_as_it(compiled):
+    """Of x = 1e-9 sin(p t) / p, by p."""
+    x, p, t = (ca.SX.sym(name) for name in "xpt")
+    system = {"x": x, "p": p, "t": t, "ode": 1e-9 * ca.cos(p * t)}
+    dae = cosim.from_casadi(system, start_values={"p": 50.0}, nominals={"x": 1e-9})
+    run = cosim.integrator(
+        dae, [0.0, 1.0], solver="dop853" if compiled else "erk", compiled=compiled
+    )
+    value = ca.MX.sym("p")
+    slope = ca.jacobian(run(p=value)["xf"][1], value)
+    exact = 1e-9 * (np.cos(50.0) / 50 - np.sin(50.0) / 2500)
+    assert float(ca.Function("slope", [value], [slope])(50.0)) == pytest.approx(exact, rel=1e-6)

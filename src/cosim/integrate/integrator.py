@@ -36,7 +36,7 @@ from cosim.integrate.families.fixed_step import FixedStep
 from cosim.integrate.families.plugin import COMMON, tolerances
 from cosim.integrate.initial_values import algebraic_values, consistent_values
 from cosim.integrate.modes import hybrid
-from cosim.integrate.nominal import InitialState, Nominal, in_nominal_values
+from cosim.integrate.nominal import InitialState, Nominal, in_nominal_values, power
 from cosim.integrate.preparation import compilation_of
 from cosim.integrate.solvers import chosen_solver, engine_of, requested_solver
 from cosim.integrate.validity import times_between
@@ -82,15 +82,17 @@ MOST_JACOBIAN_NUMBERS = 3_000_000  # in the Jacobian of a whole run
 FEW_EQUATIONS = 150  # up to which an interpreted implicit method is fast enough
 
 
-def jacobian_of_run(problem: Problem, solver: Solver) -> ca.Function:
+def jacobian_of_run(problem: Problem, solver: Solver, nominal: Nominal) -> ca.Function:
     """Return the Jacobian of an integrator's function for CasADi's option `custom_jacobian`.
 
-    If compiled, the variational equations are integrated with the same fixed steps, or by `dop853`
+    Errors of the derivatives are measured by nominal values, too: `nominal` has those of the
+    states, and a parameter or an input has its own value. If compiled, the variational equations are integrated with the same fixed steps, or by `dop853`
     at the tolerances of an adaptive solver. If interpreted, they are integrated by `erk`, or by
     `rosenbrock` if the solver is implicit and there are few equations.
     """
     dae, grid = problem.dae, problem.grid
-    interval = (_compiled if problem.compiled else _interpreted)(problem, solver)
+    sizes = _sizes(dae, nominal)
+    interval = (_compiled if problem.compiled else _interpreted)(problem, solver, sizes)
     nx, nz, n = dae.x.numel(), dae.z.numel(), len(grid)
     np_, nu = dae.p.numel(), dae.u.numel()
     x0, z0, p = MX.sym("x0", nx), MX.sym("z0", nz), MX.sym("p", np_)
@@ -126,10 +128,17 @@ def _chained(slopes: MX, before: tuple[MX, MX, MX], k: int) -> tuple[MX, MX, MX]
     return by_x @ before[0], by_x @ before[1] + by_p, by_x @ before[2] + inputs
 
 
-def _compiled(problem: Problem, solver: Solver) -> ca.Function:
+def _sizes(dae: Dae, nominal: Nominal) -> Vector:
+    """Return what errors of x and its derivatives are measured by, stacked."""
+    x, given = np.array(nominal.x), (*dae.parameters, *dae.inputs)
+    moved = np.append(x, [power(abs(v.start or 0.0) or v.nominal) for v in given])
+    return np.concatenate((x, np.outer(1 / moved, x).ravel()))
+
+
+def _compiled(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
     """Return `interval(x, z, p, u, begin, end) -> (x, dz at the start, S, dz)` as compiled code.
 
-    See `variational_rhs`: S are derivatives of x, dz those of z.
+    See `variational_rhs`: S are derivatives of x, dz those of z; and `_sizes`.
     """
     dae = problem.dae
     name, method, settings = Dop853.name, dop853_method(), (0.0, 0.0, np.inf)
@@ -141,7 +150,7 @@ def _compiled(problem: Problem, solver: Solver) -> ca.Function:
     path = explicit_library(variational_rhs(dae), f"variational {name}", method)
     run, _ = explicit_function(path, 2)
     arguments = x, z, p, u, begin, end = _arguments(dae)
-    own = ca.vertcat(p, 2, 0, 1, *settings, ca.DM.ones(run.size1_in("x0")), begin, end)
+    own = ca.vertcat(p, 2, 0, 1, *settings, ca.DM(sizes), begin, end)
     inputs = {"u": u} if dae.inputs else {}
     found = run(x0=_start(dae, x), z0=_guess(dae, z), p=own, **inputs)
     unknown = found["zf"]
@@ -149,7 +158,7 @@ def _compiled(problem: Problem, solver: Solver) -> ca.Function:
     return ca.Function("interval", arguments, results)
 
 
-def _interpreted(problem: Problem, solver: Solver) -> ca.Function:
+def _interpreted(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
     """Return the function `interval` of `_compiled` for interpreted equations."""
     dae = problem.dae
     assert isinstance(solver, AdaptiveSolver)  # CasADi differentiates fixed steps
@@ -161,12 +170,12 @@ def _interpreted(problem: Problem, solver: Solver) -> ca.Function:
     guess, numbers, inputs, span = ca.vertsplit(
         own, np.cumsum([0, z.numel(), p.numel(), u.numel(), 2]).tolist()
     )
-    rates, _ = rhs(span[0] + span[1] * s, every, _guess(dae, guess), inputs, numbers)
-    system = {"t": s, "x": every, "p": own, "ode": span[1] * rates}
+    rates, _ = rhs(span[0] + span[1] * s, sizes * every, _guess(dae, guess), inputs, numbers)
+    system = {"t": s, "x": every, "p": own, "ode": span[1] * rates / sizes}
     options = COMMON | tolerances(solver)
     run = ca.integrator("run", "rosenbrock" if stiff else "erk", system, 0, 1, options)
     start = _start(dae, x)
-    last = run(x0=start, p=ca.vertcat(z, p, u, begin, end - begin))["xf"]
+    last = sizes * run(x0=start / sizes, p=ca.vertcat(z, p, u, begin, end - begin))["xf"]
     unknown = [rhs(t, at, _guess(dae, z), u, p)[1] for t, at in ((begin, start), (end, last))]
     return ca.Function("interval", arguments, _results(dae, last, *unknown))
 
@@ -397,7 +406,7 @@ def integrator(
     built = engine_of(scaled, chosen)
     options = {}
     if derivatives and not by_casadi:
-        options = {"custom_jacobian": jacobian_of_run(problem, chosen), **_BY_JACOBIAN}
+        options = {"custom_jacobian": jacobian_of_run(problem, chosen, nominal), **_BY_JACOBIAN}
     return _bare_function(dae, built, sizes, len(times), options)
 
 
