@@ -1,6 +1,7 @@
 """`cosim.integrator` of models with events: values, derivatives, and failures."""
 
 import gc
+import warnings
 
 import casadi as ca
 import numpy as np
@@ -230,3 +231,16 @@ def is_difference(dae):
             apart = (moved(name, k, step) - moved(name, k, -step)) / (2 * step)
             np.testing.assert_allclose(np.array(slope[:, k]), np.array(apart), rtol=1e-3, atol=1e-3)
     return True
+
+
+def test_short_changes_are_seen_by_a_model_with_events():
+    """A bump of the force adds an energy of 100 * 1e-3 * sqrt(pi)."""
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    force = 100 * ca.exp(-(((x - 2) / 1e-3) ** 2)) + ca.if_else(x > 9, 1.0, 0.0)
+    system = {"x": ca.vertcat(x, v), "ode": ca.vertcat(v, force)}
+    dae = cosim.from_casadi(system, start_values={"v": 1.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = cosim.integrator(dae, [0.0, 4.0], derivatives=False)
+    last = float(run(**cosim.start_vectors(dae))["xf"][1, -1])
+    assert last == pytest.approx(np.sqrt(1 + 0.2 * np.sqrt(np.pi)), rel=1e-6)

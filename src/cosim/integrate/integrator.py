@@ -374,7 +374,8 @@ def integrator(
             "several integrators, or use cosim.simulate",
             stacklevel=3,
         )
-    if names := [name for name in landmarks(dae).moving if name != "time"]:
+    names = [] if has_events else [n for n in landmarks(dae).moving if n != "time"]
+    if names:
         warn(
             f"{dae.full_name}: a term of {names[0]} changes in a small part of its way, which "
             "CasADi's integrators may step over; divide the grid there, or use cosim.simulate",
