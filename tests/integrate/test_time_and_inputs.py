@@ -198,3 +198,19 @@ def test_pulses_of_a_python_function_are_seen(begin, end):
         inputs={"f": lambda t: float(begin <= t < end)},
     )
     assert run.final["v"] == pytest.approx(end - begin, abs=1e-12)
+
+
+def test_kinks_are_seen_where_the_relative_tolerance_is_0():
+    """Of x' = u, where each line from -1 to 1 or back leads to 0."""
+    model = Model("sum", stop_time=1.0, output_interval=1.0)
+    x, u = model.state("x", "m", 0.0, "way"), model.input("u", "m/s", 0.0, "speed")
+    model.derivative(x, u)
+    time = np.linspace(0, 1, 52)
+    run = simulate(
+        model.freeze(),
+        inputs=InputSeries(("u",), time, (-1.0) ** np.arange(52)[:, None]),
+        solver="dop853",
+        relative_tolerance=0.0,
+        absolute_tolerance=1e-8,
+    )
+    assert abs(run["x"][-1]) < 1e-14

@@ -87,7 +87,7 @@ def explicit_engine(
     path, constants = _compiled(dae, inputs, problem.project, name, method, system)
     grid, breaks = problem.grid, np.empty(0)
     selected: NDArray[np.intp] | None = None
-    if inputs is not None and settings[0]:  # error control would reject steps over kinks
+    if inputs is not None and any(settings[:2]):  # error control would reject steps over kinks
         grid, breaks, selected = _with_samples(grid, inputs.time)
     columns = len(grid) if problem.piecewise else 1
     library = ctypes.CDLL(path)
