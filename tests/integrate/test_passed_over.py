@@ -384,3 +384,14 @@ def test_a_bump_shorter_than_rounding_is_noted(mover):
     dae = cosim.from_casadi(laws, name="short", stop_time=7, output_interval=0.5)
     run = cosim.simulate(dae, solver="dop853")
     assert f"a term of {mover} near 5.3 s, which is shorter than rounding" in run.stats["note"]
+
+
+def test_a_pulse_is_seen_once_where_the_relative_tolerance_is_0():
+    t, x = SX.sym("t"), SX.sym("x")
+    system = {"t": t, "x": x, "ode": ca.exp(-(((t - 0.5) / 1e-3) ** 2)) - x}
+    dae = cosim.from_casadi(system, stop_time=1.0, output_interval=0.5)
+    run = cosim.simulate(dae, relative_tolerance=0.0, absolute_tolerance=1e-8)
+    assert run.stats.get("note") is None
+    right = 1e-3 * np.sqrt(np.pi) * np.exp(-0.5 + 1e-6 / 4)
+    assert run["x"][-1] == pytest.approx(right, abs=1e-6)
+    assert run.stats["steps"] < 2000

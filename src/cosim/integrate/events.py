@@ -83,7 +83,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         lambda closer: attentive(
             partial(attempt, closer),
             problem.grid,
-            solver.tolerance.pair[0],
+            max(solver.tolerance.pair),
             with_conditions(problem.dae),
         ),
         lambda closer, steps: attempt(closer, np.unique(between(problem.grid, steps)), np.empty(0)),

@@ -29,7 +29,7 @@ from cosim.model.values import own_sizes
 
 Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
 
-_EFFECT = 100.0  # least defect of a state that matters, in relative tolerances
+_EFFECT = 100.0  # least defect of a state that matters, in tolerances
 _PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
 _BEYOND = 0.05  # of a way, by which rows may miss its ends
 _MOST_CELLS = 4_000  # parts of a way
@@ -77,7 +77,7 @@ def attentive(attempt: Attempt, grid: Vector, tolerance: float, dae: Dae) -> Mot
     Args:
         attempt: Integrates over output times, with steps that end at further times.
         grid: Output times, s.
-        tolerance: Relative tolerance of the solver.
+        tolerance: The larger one of the solver's tolerances (1).
         dae: The equations with the conditions of events; see `with_conditions`.
     """
     plain = attempt(grid, np.empty(0))
