@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import FmuError
-from cosim.text import LONGEST_SENTENCE, csv_cell, sentence, visible
+from cosim.text import LONGEST_SENTENCE, csv_cell, csv_text, sentence, visible
 from cosim.trajectory import Column, Trajectory
 
 
@@ -41,3 +41,8 @@ def test_name_that_a_spreadsheet_would_compute_is_quoted(name):
     text = io.StringIO()
     run.to_csv(text)
     assert text.getvalue() == f"time,'{name},x\n0,0,0\n"
+
+
+def test_cell_of_a_table_that_a_spreadsheet_would_compute_is_quoted():
+    rows = [{"name": "=1+2", "=x": -1.5, "reason": "\x1b[2J"}]
+    assert csv_text(rows) == "name,'=x,reason\n'=1+2,-1.5,\\x1b[2J\n"

@@ -242,9 +242,10 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows that have the same keys as CSV; reading returns the same numbers."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    writer = csv.writer(text, lineterminator="\n")
+    names = [*rows[0]] if rows else []
+    for line in (names, *([row[name] for name in names] for row in rows)):
+        writer.writerow([csv_cell(c) if isinstance(c, str) else c for c in line])
     return text.getvalue()
 
 
