@@ -142,6 +142,13 @@ def test_what_is_no_npz_is_refused(tmp_path, content):
         Trajectory.from_npz(path)
 
 
+def test_npz_takes_statistics_of_numpy(run):
+    stream = io.BytesIO()
+    replace(run, stats={"count": np.int64(3), "found": np.bool_(True)}).to_npz(stream)
+    stream.seek(0)
+    assert Trajectory.from_npz(stream).stats == {"count": 3, "found": True}
+
+
 def test_npz_of_another_shape_or_a_later_format_is_refused(tmp_path, run):
     path = tmp_path / "run.npz"
     run.to_npz(path)

@@ -404,7 +404,12 @@ class Trajectory:
             "events": [asdict(event) for event in self.events],
         }
         content = io.BytesIO()
-        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
+        np.savez(
+            content,
+            time=self.time,
+            values=self.values,
+            facts=json.dumps(facts, default=np.generic.item),
+        )
         if not isinstance(target, str | os.PathLike):
             target.write(content.getvalue())
             return
