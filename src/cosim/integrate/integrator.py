@@ -86,9 +86,10 @@ def jacobian_of_run(problem: Problem, solver: Solver, nominal: Nominal) -> ca.Fu
     """Return the Jacobian of an integrator's function for CasADi's option `custom_jacobian`.
 
     Errors of the derivatives are measured by nominal values, too: `nominal` has those of the
-    states, and a parameter or an input has its own value. If compiled, the variational equations are integrated with the same fixed steps, or by `dop853`
-    at the tolerances of an adaptive solver. If interpreted, they are integrated by `erk`, or by
-    `rosenbrock` if the solver is implicit and there are few equations.
+    states, and a parameter or an input has its own value. If compiled, the variational equations
+    are integrated with the same fixed steps, or by `dop853` at the tolerances of an adaptive
+    solver. If interpreted, they are integrated by `erk`, or by `rosenbrock` if the solver is
+    implicit and there are few equations.
     """
     dae, grid = problem.dae, problem.grid
     sizes = _sizes(dae, nominal)
