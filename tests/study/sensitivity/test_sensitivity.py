@@ -314,3 +314,26 @@ def test_derivative_by_the_speed_of_the_bicycle_is_that_of_runs_with_other_speed
     expected = (after - before) / (2 * step)
     np.testing.assert_allclose(found["phi", "speed"], expected, rtol=1e-5)  # measured 3e-7
     np.testing.assert_allclose(found["phi", "thetaR_dot"], -0.3 * found["phi", "speed"], rtol=1e-12)
+
+
+def test_steps_of_differences_are_of_the_size_of_the_value_in_the_run():
+    """Of x = t sin(1 / p), at a thousandth of the model's own p."""
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    dae = cosim.from_casadi({"x": x, "p": p, "ode": ca.sin(1 / p)}, start_values={"p": 1.0})
+    found = sensitivity(dae, start_values={"p": 1e-3}, **SHORT)
+    np.testing.assert_allclose(found["x", "p"], -1e6 * np.cos(1e3) * found.run.time, rtol=1e-9)
+    assert found.targets[0].nominal == 1e-3
+
+
+@pytest.mark.parametrize("second", [1.0, 1e-9])
+def test_differences_around_events_are_compared_whatever_the_time_scale(second):
+    """Of a fall from 1 m that ends at sqrt(2 / g): the speed there is -sqrt(2 g)."""
+    model = Model("fall", stop_time=second, output_interval=0.01 * second)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    g = model.parameter("g", "m/s^2", 9.81 / second**2, "gravity")
+    model.derivative(h, v)
+    model.derivative(v, -g)
+    model.when(h < 0, {v: -v}, name="impact")
+    found = sensitivity(model.freeze(), outputs=["v"], with_respect_to=["g"])
+    exact = (np.sqrt(2 / 9.81) - 1) * second  # v = 2 sqrt(2 g) - g t
+    assert found["v", "g"][-1] == pytest.approx(exact, rel=1e-6)

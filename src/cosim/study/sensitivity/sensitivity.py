@@ -33,6 +33,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import reduce
 from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.times import one_time
 from cosim.model.values import Values, assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
@@ -190,6 +191,7 @@ def sensitivity(
     small = _reduced(dae, tuple(names))
     numbers = {"state": values.x, "parameter": values.p, "input": values.u}
     at = [float(numbers[target.kind][target.row]) for target in whole]
+    sizes = {t.variable.name: abs(v) or t.variable.nominal for t, v in zip(whole, at, strict=True)}
     fallback = "rosenbrock" if dae.algebraics else "erk"
     solver = solver or ("dop853" if has_compiler() else fallback)
     known = {v.name for v in (*small.states, *small.parameters, *small.inputs)}
@@ -201,10 +203,12 @@ def sensitivity(
         **times,
     )
     task = _Task(request, solver, relative_tolerance)
-    targets = [own for name in by if (own := SensitivityTarget.of(small, name)) is not None]
+    used = [own for name in by if (own := SensitivityTarget.of(small, name)) is not None]
+    targets = [replace(target, size=sizes[target.variable.name]) for target in used]
     plain, found = task.forward(targets)
     columns = tuple(
-        Column(t.variable.name, t.variable.unit, None, t.size, t.variable.meaning) for t in whole
+        Column(name, t.variable.unit, None, sizes[name], t.variable.meaning)
+        for name, t in zip(by, whole, strict=True)
     )
     rows = [by.index(target.variable.name) for target in targets]  # others have no influence
     table = np.zeros((len(plain), len(names), len(by)))
@@ -334,7 +338,7 @@ class _Task:
             passed = np.searchsorted(events, times)
             found &= passed == np.searchsorted(self.events[0], times)
             moved = np.setdiff1d(events, common)  # samples stay where they are
-            found &= ~np.isclose(times[:, None], moved[None], rtol=1e-9, atol=1e-9).any(axis=1)
+            found &= ~one_time(times[:, None], moved[None], times[0]).any(axis=1)
         return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:
