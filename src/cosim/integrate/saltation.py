@@ -63,9 +63,9 @@ def crossed(
     other, _ = _in_order(kernel, p, at, order[::-1])
     kernel.switching.numbers[:] = switching
     found, happened = _in_order(kernel, p, at, order)
-    difference = np.abs(found.x - other.x).max(initial=0.0)
-    if difference > _SAME * np.abs(found.x).max(initial=1.0):
-        system = kernel.system
+    system = kernel.system
+    sizes = np.maximum(np.abs(found.x), [v.nominal for v in system.dae.states])
+    if (np.abs(found.x - other.x) > _SAME * sizes).any():
         names = [system.events[i].name for i in happened.events]
         names = names or [system.described(i) for i in order]
         raise SolverError.of(

@@ -337,3 +337,18 @@ def test_differences_around_events_are_compared_whatever_the_time_scale(second):
     found = sensitivity(model.freeze(), outputs=["v"], with_respect_to=["g"])
     exact = (np.sqrt(2 / 9.81) - 1) * second  # v = 2 sqrt(2 g) - g t
     assert found["v", "g"][-1] == pytest.approx(exact, rel=1e-6)
+
+
+def test_order_of_events_at_one_time_matters_for_a_small_state_too():
+    """What begins at the later one of two events depends on one or the other."""
+    model = Model("two", stop_time=1.0, output_interval=0.1)
+    a, b = (model.state(name, "m", 1.0, "way") for name in "ab")
+    c, d = (model.state(name, "1", 0.0, "whether it has ended") for name in "cd")
+    y = model.state("y", "m", 0.0, "what follows", nominal=1e-9)
+    p, q = (model.parameter(name, "m/s", 2.0, "speed") for name in "pq")
+    for state, rate in ((a, -p), (b, -q), (c, 0), (d, 0), (y, 1e-9 * c * d)):
+        model.derivative(state, rate)
+    model.when(a < 0, {c: 1.0}, name="first")
+    model.when(b < 0, {d: 1.0}, name="second")
+    with pytest.raises(SolverError, match="first, second at 0.5 s happen at one time"):
+        sensitivity(model.freeze(), outputs=["y"], check=False)
