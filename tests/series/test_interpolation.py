@@ -39,3 +39,17 @@ def test_few_samples_take_a_lower_degree(n):
     time = np.arange(n, dtype=float)
     found, _ = resample(time, (3 + 2 * time)[:, None], np.linspace(0, n - 1, 7))
     np.testing.assert_allclose(found[:, 0], 3 + 2 * np.linspace(0, n - 1, 7), atol=1e-14)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_estimate_of_few_samples_is_not_below_the_error(n):
+    """Of t^n, whose polynomial through n samples lacks one degree, up to an event that is no row.
+
+    A single sample tells nothing of what is beside it.
+    """
+    time = np.append(np.arange(n, dtype=float), [n, n + 1])
+    at, breaks = np.array([0.5]), np.array([n - 0.25])
+    found, estimate = resample(time, (time**n)[:, None], at, breaks)
+    assert np.abs(found[:, 0] - at**n) <= estimate
+    _, of_samples = resample(time, (time**n)[:, None], time, breaks)
+    assert of_samples == 0

@@ -131,14 +131,15 @@ def resample(
 
     Returns:
         Values, (m, columns), and the largest change that degree 3 would make to each column, an
-        estimate of the error.
+        estimate of the error; in pieces of up to 4 samples that of one degree less, infinite beside
+        a single one.
 
     Raises:
         ParameterError: There is no sample between two breaks around a requested time.
     """
     twice = time[1:][np.diff(time) == 0]
     breaks = np.setdiff1d(np.empty(0) if breaks is None else breaks, twice)
-    five, three = (_local(time, values, at, points, breaks) for points in (6, 4))
+    five, three = (_local(time, values, at, *degree, breaks) for degree in ((6, 0), (4, 1)))
     with np.errstate(invalid="ignore"):  # infinity less infinity
         gap = np.abs(five - three)
     return five, gap.max(axis=0, initial=0.0)
@@ -173,8 +174,13 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
     return clipped
 
 
-def _local(time: Vector, values: Vector, at: Vector, points: int, breaks: Vector) -> Vector:
-    """Interpolate by polynomials through as many points around each time (Neville)."""
+def _local(
+    time: Vector, values: Vector, at: Vector, points: int, fewer: int, breaks: Vector
+) -> Vector:
+    """Interpolate by polynomials through as many points around each time (Neville).
+
+    At most all but `fewer` of a piece; infinite beside a sample if there is none.
+    """
     jumps = np.flatnonzero(np.diff(time, prepend=-np.inf) == 0)
     edges = np.unique(np.concatenate(([0], jumps, np.searchsorted(time, breaks), [len(time)])))
     below = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
@@ -192,8 +198,12 @@ def _local(time: Vector, values: Vector, at: Vector, points: int, breaks: Vector
     for p in np.unique(piece):
         first, end = edges[p], edges[p + 1]
         here = piece == p
-        count = min(points, end - first)
-        start = np.clip(below[here] - (count // 2 - 1), first, end - count)
+        count = min(points, end - first - fewer)
+        if not count:
+            beside = at[here] != time[first]
+            result[here] = np.where(beside[:, None], np.inf, values[first])
+            continue
+        start = np.clip(below[here] - max(count // 2 - 1, 0), first, end - count)
         nodes = start[:, None] + np.arange(count)
         result[here] = _neville(time[nodes], values[nodes], at[here])
     return result
