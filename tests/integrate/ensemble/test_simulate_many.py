@@ -379,3 +379,21 @@ def test_a_start_that_rounding_leaves_beside_0_says_nothing_of_steps(start, stop
     assert not many.reasons
     exact = 2 * np.arctan((stop - start) * np.array([1.0, 2.0]))
     assert many["x"][:, -1] == pytest.approx(exact, abs=1e-7)
+
+
+@pytest.mark.parametrize(("relative", "absolute"), [(0.0, 1e-6), (1e-8, 1e-6)])
+def test_errors_are_those_of_the_same_steps_whichever_tolerance_measures_them(relative, absolute):
+    usual, other = (
+        simulate_many(
+            oscillator().dae,
+            {"x": [1.0, 2.0]},
+            solver="dop853",
+            relative_tolerance=own[0],
+            absolute_tolerance=own[1],
+            max_step=0.1,
+        )
+        for own in ((1e-6, 0.0), (relative, absolute))
+    )
+    np.testing.assert_array_equal(other.steps, usual.steps)
+    ratio = other.error / usual.error  # sizes are 1 or up to 2, and less for relative errors
+    assert ((ratio > 0.1) & (ratio < 10)).all()

@@ -213,7 +213,7 @@ def in_lanes(
         reached=np.searchsorted(rows, report["good"]),
         steps=report["steps"].astype(np.int64),
         rhs_calls=report["rhs_calls"].astype(np.int64),
-        error=report["error"] * (tolerance.relative or 1.0),
+        error=report["error"] * max(tolerance.pair),
         stats={"lanes": lanes, "solve_time": solve_time},
     )
     straight = ended["straight"] > grid[0]
