@@ -129,14 +129,14 @@ def _chained(slopes: MX, before: tuple[MX, MX, MX], k: int) -> tuple[MX, MX, MX]
     return by_x @ before[0], by_x @ before[1] + by_p, by_x @ before[2] + inputs
 
 
-def _sizes(dae: Dae, nominal: Nominal) -> Vector:
+def _sizes(dae: Dae, nominal: Nominal) -> ca.DM:
     """Return what errors of x and its derivatives are measured by, stacked."""
     x, given = np.array(nominal.x), (*dae.parameters, *dae.inputs)
     moved = np.append(x, [power(abs(v.start or 0.0) or v.nominal) for v in given])
-    return np.concatenate((x, np.outer(1 / moved, x).ravel()))
+    return ca.DM(np.concatenate((x, np.outer(1 / moved, x).ravel())))
 
 
-def _compiled(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
+def _compiled(problem: Problem, solver: Solver, sizes: ca.DM) -> ca.Function:
     """Return `interval(x, z, p, u, begin, end) -> (x, dz at the start, S, dz)` as compiled code.
 
     See `variational_rhs`: S are derivatives of x, dz those of z; and `_sizes`.
@@ -151,7 +151,7 @@ def _compiled(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
     path = explicit_library(variational_rhs(dae), f"variational {name}", method)
     run, _ = explicit_function(path, 2)
     arguments = x, z, p, u, begin, end = _arguments(dae)
-    own = ca.vertcat(p, 2, 0, 1, *settings, ca.DM(sizes), begin, end)
+    own = ca.vertcat(p, 2, 0, 1, *settings, sizes, begin, end)
     inputs = {"u": u} if dae.inputs else {}
     found = run(x0=_start(dae, x), z0=_guess(dae, z), p=own, **inputs)
     unknown = found["zf"]
@@ -159,7 +159,7 @@ def _compiled(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
     return ca.Function("interval", arguments, results)
 
 
-def _interpreted(problem: Problem, solver: Solver, sizes: Vector) -> ca.Function:
+def _interpreted(problem: Problem, solver: Solver, sizes: ca.DM) -> ca.Function:
     """Return the function `interval` of `_compiled` for interpreted equations."""
     dae = problem.dae
     assert isinstance(solver, AdaptiveSolver)  # CasADi differentiates fixed steps

@@ -177,10 +177,10 @@ class RunRequest:
     def configured(self) -> Dae:
         """Return the model with the request's values, span and interval as defaults, for export."""
         dae, times = self.dae, self.times
-        ends = times.stop is not None and times.stop > 0  # what a model is shown with begins at 0
+        shown = dae.experiment.stop_time  # of a run that begins at 0
         experiment = replace(
             dae.experiment,
-            stop_time=times.stop if ends else dae.experiment.stop_time,
+            stop_time=times.stop if times.stop is not None and times.stop > 0 else shown,
             output_interval=times.interval or dae.experiment.output_interval,
         )
         values = plain_values(dae, self.values)

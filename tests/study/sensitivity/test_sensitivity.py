@@ -350,5 +350,5 @@ def test_order_of_events_at_one_time_matters_for_a_small_state_too():
         model.derivative(state, rate)
     model.when(a < 0, {c: 1.0}, name="first")
     model.when(b < 0, {d: 1.0}, name="second")
-    with pytest.raises(SolverError, match="first, second at 0.5 s happen at one time"):
+    with pytest.raises(SolverError, match=r"first, second at 0\.5 s happen at one time"):
         sensitivity(model.freeze(), outputs=["y"], check=False)
