@@ -225,3 +225,16 @@ def test_derivatives_of_a_small_state_are_as_accurate_as_it(compiled):
     slope = ca.jacobian(run(p=value)["xf"][1], value)
     exact = 1e-9 * (np.cos(50.0) / 50 - np.sin(50.0) / 2500)
     assert float(ca.Function("slope", [value], [slope])(50.0)) == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:model. a term of time changes")
+def test_longest_step_holds_for_derivatives_whatever_the_interval():
+    """A pulse of 10 ms in an interval of 100 s."""
+    x, p, t = (ca.SX.sym(name) for name in "xpt")
+    pulse = p * ca.exp(-(((t - 50.33) / 0.01) ** 2))
+    system = {"x": x, "p": p, "t": t, "ode": pulse}
+    dae = cosim.from_casadi(system, start_values={"p": 1.0})
+    run = cosim.integrator(dae, [0.0, 100.0], solver=SOLVERS["erk"](max_step=0.02), compiled=False)
+    value = ca.MX.sym("p")
+    slope = ca.Function("slope", [value], [ca.jacobian(run(p=value)["xf"][1], value)])
+    assert float(slope(1.0)) == pytest.approx(0.01 * np.sqrt(np.pi), rel=1e-6)

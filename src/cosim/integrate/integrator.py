@@ -174,6 +174,8 @@ def _interpreted(problem: Problem, solver: Solver, sizes: ca.DM) -> ca.Function:
     rates, _ = rhs(span[0] + span[1] * s, sizes * every, _guess(dae, guess), inputs, numbers)
     system = {"t": s, "x": every, "p": own, "ode": span[1] * rates / sizes}
     options = COMMON | tolerances(solver)
+    if solver.max_step is not None:  # of each interval, whose length is 1
+        options["max_step_size"] = solver.max_step / float(np.diff(problem.grid).max())
     run = ca.integrator("run", "rosenbrock" if stiff else "erk", system, 0, 1, options)
     start = _start(dae, x)
     last = sizes * run(x0=start / sizes, p=ca.vertcat(z, p, u, begin, end - begin))["xf"]
