@@ -84,6 +84,18 @@ def test_reference_states_its_own_error(tmp_path):
     assert REFERENCE in names
 
 
+@pytest.mark.slow
+def test_sides_of_an_event_are_kept_where_a_comparison_takes_a_row_for_one_of_them(tmp_path):
+    """Half of what `compare` takes for one instant after the second of 201 rows."""
+    model = Model("step", stop_time=1.0, output_interval=0.005)
+    x = model.state("x", "m", 1.0, "place")
+    model.derivative(x, -1.0)
+    model.when(x < 0.995 - 5e-7, {x: x + 2}, name="up")
+    facts, _ = facts_of(export_with_reference(model.freeze(), tmp_path / "a.fmu"))
+    (event,) = facts["events"]
+    assert event["after"]["x"] - event["before"]["x"] == pytest.approx(2)
+
+
 def test_error_of_a_large_model_s_reference_is_estimated_with_its_own_solver(tmp_path, monkeypatch):
     monkeypatch.setattr(reference_result, "AFFORDABLE", 0)
     facts, _ = facts_of(export_with_reference(decay("large"), tmp_path / "a.fmu"))

@@ -240,13 +240,18 @@ def _difference(first: Trajectory, second: Trajectory) -> Vector:
     """Return second minus first; rounding decides which side of an event a row at its time has."""
     values = second.values - first.values
     for run, other, sign in ((first, second, 1), (second, first, -1)):
-        reach = _ONE_INSTANT * (run.time[-1] - run.time[0])
         for event in (event for event in run.events if event.before):
-            for row in np.flatnonzero(np.abs(run.time - event.time) <= reach).tolist():
+            for row in rows_at(run, event.time):
                 for side in (event.before, event.after):
                     left = sign * (other.values[row] - [side[name] for name in run.names])
                     values[row] = np.where(np.abs(left) < np.abs(values[row]), left, values[row])
     return values
+
+
+def rows_at(run: Trajectory, time: float) -> list[int]:
+    """Return the rows of a run that may hold either side of an event at a time, s."""
+    reach = _ONE_INSTANT * (run.time[-1] - run.time[0])
+    return np.flatnonzero(np.abs(run.time - time) <= reach).tolist()
 
 
 def _nominals(run: Trajectory) -> Vector:

@@ -39,7 +39,7 @@ from cosim.integrate.run import run as execute
 from cosim.model.request import DriftControl
 from cosim.text import sentence
 from cosim.trajectory import Column, Event, Trajectory
-from cosim.verify.comparison import Check, Verdict, compare
+from cosim.verify.comparison import Check, Verdict, compare, rows_at
 from cosim.verify.crosscheck import BOUND
 
 OWN = "reference"
@@ -124,8 +124,7 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
         "events": [  # both sides where a row is, which may hold either
-            asdict(e if np.isclose(run.time, e.time).any() else Event(e.time, e.name, {}, {}))
-            for e in run.events
+            asdict(e if rows_at(run, e.time) else Event(e.time, e.name, {}, {})) for e in run.events
         ],
         "largest difference in nominal values": {
             backend: {"variable": w.name, "difference": w.scaled, "time": w.time}
