@@ -255,3 +255,11 @@ def test_states_that_are_0_for_their_error_control_agree(size):
         Trajectory("m", np.arange(3.0), columns, np.full((3, 1), sign * size)) for sign in (1, -1)
     ]
     assert compare(*runs)
+
+
+def test_residuals_of_temperatures_are_differences_of_degrees():
+    warm, warmer = (
+        Trajectory("m", [0, 1], [Column("T", "K", "degC")], [[kelvin]] * 2) for kelvin in (300, 305)
+    )
+    (row,) = compare(warm, warmer).rows()
+    assert (row["largest"], row["rms"], row["unit"]) == (5, 5, "degC")

@@ -84,7 +84,7 @@ class Comparison:
         rows = []
         for one in self:
             column = self.residuals.column(one.name)
-            own = column.shown(self.residuals[one.name])
+            own = column.shown(self.residuals[one.name], difference=True)
             own = np.abs(own[np.isfinite(own)])
             row = {"name": one.name, "difference": one.scaled, "at [s]": one.time}
             row |= {"largest": own.max(initial=0.0), "rms": np.sqrt(own @ own / max(1, len(own)))}
