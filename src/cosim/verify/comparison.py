@@ -326,8 +326,9 @@ def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, 
 def apart(first: Trajectory, second: Trajectory) -> int | None:
     """Return the index from which on two runs have different output times; None if the same."""
     times = [run.time[: min(len(first), len(second))] for run in (first, second)]
-    since = np.abs(first.time - first.time[:1]).max(initial=1.0)
-    apart = np.abs(times[0] - times[1]) > np.maximum(1e-9 * since, 4 * np.spacing(times[0]))
+    since = np.abs(first.time - first.time[:1]).max(initial=0.0)
+    rounding = 4 * np.spacing(np.abs(times[0]))
+    apart = np.abs(times[0] - times[1]) > np.maximum(1e-9 * since, rounding)
     if apart.any():
         return int(np.argmax(apart))
     return None if len(first) == len(second) else len(apart)
