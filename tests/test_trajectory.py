@@ -362,3 +362,10 @@ def test_run_that_is_computed_again_accepts_a_time_twice():
     found = run.at([0.0, 0.1, 0.1])
     np.testing.assert_array_equal(found.time, [0.0, 0.1, 0.1])
     np.testing.assert_array_equal(found.values[1], found.values[2])
+
+
+def test_times_outside_a_tiny_span_are_rejected():
+    short = Trajectory("m", [0, 1e-9], [Column("x")], [[0], [1]])
+    with pytest.raises(ParameterError, match="time 2e-09 is not within the run"):
+        short.at(2e-9)
+    assert short.at(5e-10) == {"x": 0.5}
