@@ -11,7 +11,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, ExportError, ParameterError, UnknownName, UsageError
-from cosim.trajectory import Column, Trajectory
+from cosim.trajectory import Column, Event, Trajectory
 
 # Numbers whose shortest text needs all 17 digits, and the ends of the range
 HARD = [0.1 + 0.2, 1 / 3, np.nextafter(1, 2), 5e-324, 1.7976931348623157e308, -0.0]
@@ -369,3 +369,11 @@ def test_times_outside_a_tiny_span_are_rejected():
     with pytest.raises(ParameterError, match="time 2e-09 is not within the run"):
         short.at(2e-9)
     assert short.at(5e-10) == {"x": 0.5}
+
+
+def test_a_part_of_a_run_has_no_event_of_another_part():
+    event = Event(5.0, "hit", {"x": 100.0}, {"x": 200.0})
+    whole = Trajectory("m", range(11), [Column("x")], [[n] for n in range(11)], events=(event,))
+    (row,) = whole.at([1, 3]).summary()
+    assert (row["start"], row["end"], row["min"], row["max"]) == (1, 3, 1, 3)
+    assert whole.at([4, 6]).events == whole.at([5, 6]).events == (event,)

@@ -250,7 +250,11 @@ class Trajectory:
                 found = replace(found, time=requested, values=found.values[places])
         else:
             found, _ = self.interpolated(np.atleast_1d(requested))
-        return found.final if requested.ndim == 0 else found
+        if requested.ndim == 0:
+            return found.final
+        begin, end = requested[:1], requested[-1:]
+        inside = (e for e in found.events if (begin <= e.time).all() and (e.time <= end).all())
+        return replace(found, events=tuple(inside))
 
     def interpolated(self, times: Vector) -> tuple[Trajectory, Vector]:
         """Return the run between its rows at times (m,), s, and an error estimate by column, SI."""
