@@ -364,3 +364,10 @@ def test_names_are_found_and_numbers_of_runs_are_words():
     )
     none = cosim.simulate_many(dae, {"omega": []}, output_times=[1.0], outputs=["phi"])
     assert repr(none).splitlines()[0] == "crank_shaft/driven: no runs, 1 time from 1 to 1 s"
+
+
+def test_runs_count_from_the_end_too():
+    many = simulate_many(blow_up(), {"x": [0.1, 2.0]}, stop_time=1.0)  # until 10 s, and 0.5 s
+    assert many.reason(-2) == "" != many.reason(-1) == many.reason(1)
+    assert many.run(-2).status == "complete" != many.run(-1).status == many.run(1).status
+    assert many.run(-1).time[-1] <= 0.5
