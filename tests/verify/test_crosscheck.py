@@ -303,3 +303,12 @@ def test_a_row_at_an_event_may_have_either_side_of_it(tmp_path):
     path = export_with_reference(dae, tmp_path / "swing.fmu")
     assert [check.verdict for check in check_file(path)] == ["ok", "ok"]
     assert [len(check.comparison.event_times[0]) for check in check_file(path)] == [2, 2]
+
+
+def test_no_model_makes_no_check():
+    assert crosscheck([]).rows() == []
+
+
+def test_a_tolerance_of_0_is_rejected():
+    with pytest.raises(ParameterError, match="both tolerances are 0"):
+        next(crosscheck("crank_shaft/driven", relative_tolerance=0.0, **SHORT))

@@ -125,12 +125,15 @@ def _all_checks(
     bound: float,
 ) -> Iterator[Check]:
     first: tuple[Trajectory, Dae] | None = None
-    for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
+    names = (entry.partition("/")[0] for entry in casadi_models.CATALOG)
+    for item in dict.fromkeys(names) if models is None else models:
         if not isinstance(item, str) or ".py:" not in item:  # forms of one file are compared
             first = None
         for request in _members(item):
             experiment = request.dae.experiment
-            tolerance = relative_tolerance or experiment.reference_tolerance
+            tolerance = experiment.reference_tolerance
+            if relative_tolerance is not None:
+                tolerance = relative_tolerance
             request = _plain(request, stop_time, output_interval, tolerance)
             try:
                 with doing(str(Backend.NATIVE)):
