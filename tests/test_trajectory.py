@@ -290,6 +290,7 @@ def test_files_of_other_tools_are_read(text, tmp_path):
         ("time,x [furlong]\n1,1\n", "'furlong', which is unknown"),
         ("time [deg],x\n1,1\n", "time is in 'deg'"),
         ("time,x\n0,1\n,1\n", "line 3: the time is missing"),
+        ("time,x\n0,1\ninf,1\n", "line 3: the time is infinite"),
     ],
 )
 def test_files_that_make_no_sense_are_refused_with_the_line(text, told, tmp_path):
