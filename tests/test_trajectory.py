@@ -11,6 +11,7 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, ExportError, ParameterError, UnknownName, UsageError
+from cosim.text import Violation
 from cosim.trajectory import Column, Event, Trajectory
 
 # Numbers whose shortest text needs all 17 digits, and the ends of the range
@@ -378,3 +379,13 @@ def test_a_part_of_a_run_has_no_event_of_another_part():
     (row,) = whole.at([1, 3]).summary()
     assert (row["start"], row["end"], row["min"], row["max"]) == (1, 3, 1, 3)
     assert whole.at([4, 6]).events == whole.at([5, 6]).events == (event,)
+
+
+def test_npz_brings_back_what_is_wrong_without_its_time():
+    found = [Violation(1.5, "it lifts off"), "a plain reason", Violation(0.5, "slow", "it is slow")]
+    run = Trajectory("m", [0, 2], [Column("x")], [[0], [1]], {"invalid": found})
+    file = io.BytesIO()
+    run.to_npz(file)
+    again = Trajectory.from_npz(io.BytesIO(file.getvalue()))
+    assert again.validity == run.validity == (0.0, ("it lifts off", "a plain reason", "slow"))
+    assert again.stats == run.stats

@@ -24,7 +24,7 @@ from cosim.series.csv_file import read_samples, shortest, write_csv
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
 from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
-from cosim.text import MOST_LINES, Table, counted, html_table
+from cosim.text import MOST_LINES, Table, Violation, counted, html_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -406,6 +406,11 @@ class Trajectory:
             "numbers": None if self.numbers is None else dict(self.numbers),
             "columns": [asdict(column) for column in self.columns],
             "events": [asdict(event) for event in self.events],
+            "violations": [
+                (i, text.time, text.what)
+                for i, text in enumerate(self.stats.get("invalid", ()))
+                if isinstance(text, Violation)
+            ],
         }
         content = io.BytesIO()
         np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
@@ -430,6 +435,9 @@ class Trajectory:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
                 facts["events"] = tuple(Event(**event) for event in facts["events"])
+                for i, *parts in facts.pop("violations", ()):
+                    texts = facts["stats"]["invalid"]
+                    texts[i] = Violation(*parts, texts[i])
                 return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
         except Exception as error:
             raise UsageError(f"{source} contains no trajectory: {error}") from error
