@@ -156,4 +156,3 @@ def _what_to_create(target: Path) -> str:
         return f"; create {target.parent} first"
     place = Path(os.path.realpath(target))
     return f"; it is a link to {place}: create {place.parent} first"
-
