@@ -201,3 +201,15 @@ def test_what_cannot_be_a_reference_is_told(decaying, tmp_path, rows, wrong):
     path = rewritten(decaying, tmp_path / "b.fmu", damaged)
     with pytest.raises(FmuError, match="carries no reference result; export it"):
         next(check_file(path))
+
+
+def test_a_small_state_is_compared_with_its_own_size_in_the_file_too(tmp_path):
+    model = Model("small", stop_time=1.0)
+    x = model.state("x", "m", 1e-3, "a state without a nominal value")
+    model.derivative(x, -x)
+    path = export_with_reference(model.freeze(), tmp_path / "a.fmu")
+    written = facts_of(path)[0]["largest difference in nominal values"]
+    for check in check_file(path):
+        worst = check.comparison.worst
+        assert worst.size == pytest.approx(1e-3)
+        assert worst.scaled == pytest.approx(written[check.backend]["difference"])

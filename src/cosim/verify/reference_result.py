@@ -125,6 +125,7 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
+        "states": [column.name for column in run.columns if column.is_state],
         "events": [  # both sides where a row is, which may hold either
             asdict(e if np.isclose(run.time, e.time).any() else Event(e.time, e.name, {}, {}))
             for e in run.events
@@ -281,11 +282,13 @@ def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Tra
     head, *rows = csv.reader(io.StringIO(table))
     head = [flat.get(name, name) for name in head]
     numbers = np.array(rows, dtype=float)
+    units, states = facts["unit"], facts.get("states", ())
     columns = tuple(
-        Column(name, facts["unit"][name], nominal=_positive(facts["nominal"], name))
-        for name in head[1:]
+        Column(n, units[n], nominal=_positive(facts["nominal"], n), is_state=n in states)
+        for n in head[1:]
     )
-    stats, time, values = {"solver": facts["solver"]}, checked_grid(numbers[:, 0]), numbers[:, 1:]
+    stats = {name: facts[name] for name in ("solver", "relative_tolerance")}
+    time, values = checked_grid(numbers[:, 0]), numbers[:, 1:]
     events = tuple(_event(head[1:], **event) for event in facts.get("events", ()))
     return Trajectory(facts["model"], time, columns, values, stats, events=events)
 
