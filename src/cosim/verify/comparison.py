@@ -376,8 +376,8 @@ class Check:
         stats: Statistics of the second run: wall_time, s; rhs_calls.
         failure: Why the run failed; empty if it did not.
         left_out: Names that are not compared since they have different meanings, with the reason.
-        doubt: Estimated error of the first run, in nominal values; 0 if it is unknown or does
-            not matter.
+        doubt: Estimated error of the first run, divided as the differences are; 0 if it is unknown
+            or does not matter.
         note: Steps that were taken to explain a difference, or the remedy to try.
     """
 
