@@ -435,9 +435,9 @@ class Trajectory:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
                 facts["events"] = tuple(Event(**event) for event in facts["events"])
-                for i, *parts in facts.pop("violations", ()):
+                for i, when, what in facts.pop("violations", ()):
                     texts = facts["stats"]["invalid"]
-                    texts[i] = Violation(*parts, texts[i])
+                    texts[i] = Violation(when, what, texts[i])
                 return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
         except Exception as error:
             raise UsageError(f"{source} contains no trajectory: {error}") from error

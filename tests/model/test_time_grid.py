@@ -100,3 +100,14 @@ def test_a_new_span_replaces_the_times_of_a_request():
     assert requested(request, start_time=0.05).times.grid(request.dae)[0] == 0.05
     with pytest.raises(ParameterError, match="increase"):
         requested(request, start_time=0.2)
+
+
+@pytest.mark.parametrize(
+    ("stop", "interval", "intervals"),
+    [(6.000004, 1e-5, 600_001), (6.00000005, 1e-5, 600_000), (1.0, 0.3333333, 3), (1.0, 0.333, 4)],
+)
+def test_the_last_interval_is_shorter_or_hardly_longer(stop, interval, intervals):
+    grid = time_grid(0, stop, interval)
+    assert len(grid) == intervals + 1
+    assert grid[-1] == stop
+    assert np.diff(grid)[-1] <= 1.01 * interval

@@ -295,9 +295,8 @@ def _against_reference(
     if found.verdict is Verdict.DIFFERS:
         found = replace(found, note=_advice(tolerance))
     elif found.verdict is Verdict.COARSE:
-        note = (
-            f"the reference may be wrong by {found.doubt:.1e}: use a larger bound or a shorter run"
-        )
+        off = f"the reference may be wrong by {found.doubt:.1e}"
+        note = f"{off}: use a larger bound or a shorter run"
         found = replace(found, note=note)
     return found
 
