@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from html import escape
@@ -83,6 +83,11 @@ class Violation(str):
 
     def __reduce__(self) -> tuple[type["Violation"], tuple[float, str, str]]:
         return Violation, (self.time, self.what, str(self))
+
+
+def violations_in(texts: Iterable[str]) -> list[tuple[int, float, str, str]]:
+    """Return position, time, s, what is wrong, and text of each `Violation` among texts."""
+    return [(i, t.time, t.what, str(t)) for i, t in enumerate(texts) if isinstance(t, Violation)]
 
 
 class EndKind(StrEnum):
