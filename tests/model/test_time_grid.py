@@ -22,6 +22,12 @@ def test_rest_of_an_interval_is_the_last_one():
     assert time_grid(0, 0.1, 5).tolist() == [0, 0.1]
 
 
+def test_rest_of_a_long_run_is_an_interval_of_its_own():
+    grid = time_grid(0, 600_000.4, 1)
+    assert grid[-3:].tolist() == [599_999, 600_000, 600_000.4]
+    assert len(time_grid(0, 600_000 * (1 + 1e-15), 1)) == 600_001
+
+
 def test_span_that_is_tiny_beside_the_interval_has_both_ends():
     assert time_grid(0, 1e-12, 0.01).tolist() == [0, 1e-12]
 
