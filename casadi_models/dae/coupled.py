@@ -180,6 +180,7 @@ def _renamed(part: str, dae: Dae, time: SX) -> Dae:
         ),
         inertias=tuple((f"{part}: {body}", matrix) for body, matrix in inertias),
         observed=tuple(f"{part}.{name}" for name in dae.observed),
+        mode_names=tuple(replace(m, state=f"{part}.{m.state}") for m in dae.mode_names),
         drawing=_named_drawing(part, drawing),
     )
 
@@ -218,7 +219,7 @@ def _side_by_side(name: str, title: str, daes: Sequence[Dae]) -> Dae:
     tuples = (
         *("states", "algebraics", "inputs", "parameters", "output_variables", "start_rules"),
         *("inertias", "observed", "x_start", "limits", "invariants", "monitors", "start_outputs"),
-        *("events", "smooth"),
+        *("events", "smooth", "mode_names"),
     )
     laws: dict[str, Any] = {column: ca.densify(stacked(column)) for column in columns}
     laws |= {kind: together(kind) for kind in tuples}

@@ -6,6 +6,7 @@ import pytest
 
 import cosim
 from casadi_models.dae import Model
+from casadi_models.dae.coupled import joined
 from cosim.coupling.files import read_system
 from cosim.drawing.pose import motion
 from cosim.errors import UsageError
@@ -124,3 +125,17 @@ def test_joint_cut_pendulum_starts_at_its_hinge():
     assert cosim.simulate(system.dae, stop_time=0.1)["lower.y"][0] == pytest.approx(
         -np.cos(1) - 0.5, rel=1e-12
     )
+
+
+def test_modes_of_a_part_keep_their_names():
+    dae = cosim.load("bicycle")
+    (own,) = dae.mode_names
+    (found,) = joined("pair", "", {"a": oscillating(), "bike": dae}, ()).mode_names
+    assert (found.state, found.real) == ("bike.delta", own.real)
+
+
+def oscillating():
+    model = Model("oscillating")
+    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "rate")
+    model.derivative(ca.vertcat(x, v), ca.vertcat(v, -x))
+    return model.freeze()
