@@ -375,6 +375,13 @@ def test_two_times_that_differ_by_rounding_are_a_jump():
     assert len(series.around(1.5).time) == 2
 
 
+def test_three_times_that_differ_by_rounding_are_a_jump_and_a_sample():
+    time = [0.0, 1.0, 1.0 + 2**-52, 1.0 + 2**-51, 2.0]
+    series = InputSeries(("u",), time, [[0], [1], [2], [3], [4]])
+    assert series.time.tolist() == [0.0, 1.0, 1.0, 1.0 + 2**-51, 2.0]
+    assert series.held().at([2.0]).tolist() == [[4.0]]
+
+
 @pytest.mark.parametrize("header", ["Time", "TIME", "t", "time"])
 def test_column_of_the_times_may_have_another_spelling(tmp_path, header):
     path = tmp_path / "u.csv"

@@ -80,7 +80,7 @@ class InputSeries:
         gaps = np.diff(time, prepend=-np.inf, append=np.inf)
         for k in np.flatnonzero(gaps <= 4 * np.spacing(np.abs(np.append(time, 0)))).tolist():
             if gaps[k - 1] > 0 and gaps[k + 1] > 0:  # no time stands three times
-                time[k] = time[k - 1]
+                time[k], gaps[k] = time[k - 1], 0
 
     @cached_property
     def digest(self) -> str:
