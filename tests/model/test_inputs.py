@@ -308,6 +308,13 @@ def test_jump_that_misses_an_output_time_by_rounding_is_moved_there():
     assert grid[3] != 0.3
 
 
+def test_jumps_long_after_time_zero_stay_where_they_are():
+    grid = 1e9 + np.arange(4) / 1024
+    time = 1e9 + np.array([0, 0.5, 0.5, 1]) / 1024
+    series = InputSeries(("a",), time, [[0], [0], [1], [1]])
+    assert series.with_jumps_at(grid).time.tolist() == time.tolist()
+
+
 @pytest.mark.slow_rows("0.25-1.0")
 @pytest.mark.parametrize(("first", "last"), [(0.25, 1.0), (0.0, 0.5), (0.0, 1.0)])
 def test_run_beyond_the_samples_is_reported(bicycle, first, last):

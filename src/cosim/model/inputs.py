@@ -247,13 +247,14 @@ def moved_to(grid: Vector, times: Vector) -> Vector:
     """Return times, of which those that miss a time of a grid by rounding are moved there.
 
     Args:
-        grid: s, increasing, (n,), n > 0.
+        grid: s, increasing, (n,), n > 0; the first one is the start, from which they are counted.
         times: s, (m,).
     """
     moved = times.copy()
     after = np.clip(np.searchsorted(grid, times), 0, len(grid) - 1)
     for near in (grid[after], grid[np.maximum(after - 1, 0)]):
-        same = np.abs(near - times) <= SAME_TIME * np.abs(near)
+        rounding = SAME_TIME * (near - grid[0]) + 4 * np.spacing(np.abs(near))
+        same = np.abs(near - times) <= rounding
         moved[same] = near[same]
     return moved
 
