@@ -389,6 +389,14 @@ def test_three_times_that_differ_by_rounding_are_a_jump_and_a_sample():
     assert series.held().at([2.0]).tolist() == [[4.0]]
 
 
+def test_joined_series_still_say_which_samples_end_early(bicycle):
+    spans = {"steer_torque": (0.0, 1.0), "roll_torque": (0.0, 2.0)}
+    series = InputSeries(tuple(spans), [0, 1, 2], [[0, 0], [1, 1], [1, 2]], spans=spans)
+    joined = driven(bicycle, dict.fromkeys(spans, series), lambda: np.array([0.0, 2.0])).series
+    assert joined.gaps(0.0, 2.0) == series.gaps(0.0, 2.0)
+    assert "steer_torque has samples from 0 to 1 s" in joined.gaps(0.0, 2.0)
+
+
 @pytest.mark.parametrize("header", ["Time", "TIME", "t", "time"])
 def test_column_of_the_times_may_have_another_spelling(tmp_path, header):
     path = tmp_path / "u.csv"

@@ -376,5 +376,5 @@ def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     time = np.sort(np.concatenate((time, jumps)))
     second = np.diff(time, prepend=-np.inf) == 0
     values = np.concatenate([np.where(second, p.at(time), p.before(time)) for p in pieces]).T
-    spans = {n: (p.time[0], p.time[-1]) for p in pieces for n in p.names}
+    spans = {n: p.spans.get(n, (p.time[0], p.time[-1])) for p in pieces for n in p.names}
     return InputSeries(tuple(spans), time, values, spans=spans)
