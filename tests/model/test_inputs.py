@@ -397,6 +397,14 @@ def test_joined_series_still_say_which_samples_end_early(bicycle):
     assert "steer_torque has samples from 0 to 1 s" in joined.gaps(0.0, 2.0)
 
 
+@pytest.mark.parametrize("torque", [[3.0], lambda t: 3.0 if t < 1 else 0.0])
+def test_run_of_no_length_takes_samples_and_functions(bicycle, torque):
+    series = driven(bicycle, {"steer_torque": torque}, lambda: np.array([0.0])).series
+    assert series.at([0.0]).tolist() == [[3.0]]
+    run = cosim.simulate(bicycle, stop_time=0, inputs={"steer_torque": torque}, compiled=False)
+    assert run.time.tolist() == [0.0]
+
+
 @pytest.mark.parametrize("header", ["Time", "TIME", "t", "time"])
 def test_column_of_the_times_may_have_another_spelling(tmp_path, header):
     path = tmp_path / "u.csv"
