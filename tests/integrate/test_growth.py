@@ -35,6 +35,11 @@ def test_an_upright_pendulum_with_a_tiny_push_falls(solver):
     assert "absolute_tolerance" in run.stats["note"]
 
 
+def test_growth_that_no_relative_tolerance_follows_is_said():
+    run = cosim.simulate(pendulum(), relative_tolerance=0, absolute_tolerance=1e-8)
+    assert "it may be suppressed; give absolute_tolerance" in run.stats["note"]
+
+
 @pytest.mark.slow  # their compilation
 @pytest.mark.parametrize("solver", ["erk", "rosenbrock"])
 def test_an_upright_pendulum_falls_with_compiled_solvers(solver):
