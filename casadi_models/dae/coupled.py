@@ -268,11 +268,11 @@ def _with_states_from(dae: Dae, first: int) -> Dae:
 
 
 def _closing(daes: Sequence[Dae]) -> Closing | None:
-    """Return how drift decays in all parts: their rates keep their ratios."""
+    """Return how drift decays in all parts; their rates keep their ratios to the largest."""
     known = [dae.closing for dae in daes if dae.closing is not None]
     if not known:
         return None
-    symbol, rate = SX.sym("closing_rate"), known[0].rate
+    symbol, rate = SX.sym("closing_rate"), max(closing.rate for closing in known)
     residuals = []
     for dae in daes:
         residual = dae.alg

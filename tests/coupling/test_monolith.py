@@ -6,7 +6,6 @@ import pytest
 
 import cosim
 from casadi_models.dae import Model
-from casadi_models.dae.coupled import joined
 from cosim.coupling.files import read_system
 from cosim.drawing.pose import motion
 from cosim.errors import UsageError
@@ -104,13 +103,15 @@ def test_loop_without_a_solution_is_named():
         apart.simulate(stop_time=1, macro_step=0.1)
 
 
-def test_events_limits_and_drawings_of_parts_are_kept():
+def test_events_limits_drawings_and_names_of_modes_of_parts_are_kept():
     system = read_system(f"{FOLDER}/ride.toml")
     bicycle = cosim.load("bicycle")
     assert len(system.dae.limits) == len(bicycle.limits) > 0
     assert system.dae.limits[0][1].startswith("bicycle: ")
     assert len(system.dae.drawing.shapes) == len(bicycle.drawing.shapes)
     assert {"world", "bicycle.fork"} <= {body.name for body in system.dae.drawing.bodies}
+    (weave,) = system.dae.mode_names
+    assert (weave.state, *weave.oscillating) == ("bicycle.delta", "weave")
     known = {v.name for v in (*system.dae.variables, *system.dae.parameters)}
     assert {symbol.name() for symbol in ca.symvar(motion(system.dae.drawing))} <= known
 
@@ -125,17 +126,3 @@ def test_joint_cut_pendulum_starts_at_its_hinge():
     assert cosim.simulate(system.dae, stop_time=0.1)["lower.y"][0] == pytest.approx(
         -np.cos(1) - 0.5, rel=1e-12
     )
-
-
-def test_modes_of_a_part_keep_their_names():
-    dae = cosim.load("bicycle")
-    (own,) = dae.mode_names
-    (found,) = joined("pair", "", {"a": oscillating(), "bike": dae}, ()).mode_names
-    assert (found.state, found.real) == ("bike.delta", own.real)
-
-
-def oscillating():
-    model = Model("oscillating")
-    x, v = model.state("x", "m", 1.0, "place"), model.state("v", "m/s", 0.0, "rate")
-    model.derivative(ca.vertcat(x, v), ca.vertcat(v, -x))
-    return model.freeze()
