@@ -135,7 +135,7 @@ class Bench:
     def offers(self, kind: str, *names: str) -> bool:
         """Return whether an interface has one of these capabilities."""
         attributes = self.described.interfaces[kind]
-        return any(attributes.get(name) == "true" for name in names)
+        return any(attributes.get(name) in ("true", "1") for name in names)
 
     def internal_step(self, kind: str) -> float:
         """Return the fixed size of the steps of the solver inside, s; 0 if none is declared."""
