@@ -289,3 +289,10 @@ def bench(tmp_path):
 def test_an_ability_is_offered_by_either_word_of_xml(bench, text, offered):
     name = "canBeInstantiatedOnlyOncePerProcess"
     assert bench(f'{name}="{text}"').offers("CoSimulation", name) is offered
+
+
+@pytest.mark.parametrize(
+    ("experiment", "span"), [('startTime="-5" stopTime="0"', 5.0), ('startTime="-5"', 1.0)]
+)
+def test_a_run_that_stops_at_0_has_its_whole_span(bench, experiment, span):
+    assert bench(experiment=experiment).span == span

@@ -217,7 +217,8 @@ class Bench:
     @property
     def span(self) -> float:
         """Length of the default experiment, s."""
-        return (self.experiment("stopTime") or self.start + 1.0) - self.start
+        stop = self.experiment("stopTime")
+        return 1.0 if stop is None else stop - self.start
 
     @cached_property
     def visited(self) -> list[tuple[float, Vector]]:
