@@ -116,7 +116,8 @@ def _main(folder: Path) -> None:
         partial = getattr(error, "partial", None)
         if kept := isinstance(partial, Trajectory):
             partial.to_npz(folder / _VALUES)
-        answer = {"error": type(error).__name__, "message": str(error), "partial": kept}
+        kind = next(one for one in type(error).__mro__ if one.__module__ == errors.__name__)
+        answer = {"error": kind.__name__, "message": str(error), "partial": kept}
     except MemoryError:
         reason = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = {"error": "FmuError", "message": reason, "partial": False}
