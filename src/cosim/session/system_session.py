@@ -297,6 +297,11 @@ class SystemSession(Life):
         if len(ends) != 1 or not is_number(self._variable(*ends[0].variable)):
             raise UsageError(f"{self.name}: {name} is not a single number")
         variable, factor, offset = ends[0]
+        if factor == 0:
+            raise UsageError(
+                f"{self.name}: {name} has no influence on {'.'.join(variable)}, which does not "
+                "tell it; read that instead"
+            )
         return End(variable, 1 / factor, -offset / factor)
 
     # -- states -------------------------------------------------------------------------------
