@@ -19,6 +19,7 @@ from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives
 from cosim.fmi.check.trials.start import initialization, start, time
+from cosim.fmi.check.trials.steps import _answers_of_a_step as answers_of_a_step
 from cosim.fmi.check.trials.steps import calls, steps
 from cosim.fmi.check.trials.switching import _compared as compared
 from cosim.fmi.check.trials.switching import switching
@@ -198,3 +199,10 @@ def test_numbers_that_only_one_interface_has_differ():
     assert finding.found.startswith("here, from 25 s on, it differs")
     [same] = compared(runs, np.arange(50.0), found, found, allowed, "here, ")
     assert same == "here, 50 points, 0.0% of them differ"
+
+
+def test_a_step_may_end_where_it_is_to_end_before_time_0():
+    session = SimpleNamespace(time=-5.0, kind="CoSimulation")
+    session.bench = SimpleNamespace(step_size=lambda kind: 0.1)
+    session.instance = SimpleNamespace(doStep=lambda t, size: (False, False, False, t + size))
+    assert list(answers_of_a_step(session)) == []
