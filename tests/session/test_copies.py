@@ -390,6 +390,14 @@ def test_each_copy_gets_its_integer_as_it_is():
     assert given == [{"n": 2**53 + 1}, {"n": 3}]
 
 
+def test_no_step_leads_beyond_a_stop_time_far_from_0():
+    far = 1e9  # s, of which a billionth is as long as the run
+    with cosim.open(decay(), copies=N, start_time=far, stop_time=far + 1) as copies:
+        copies.advance(to=far + 1)
+        with pytest.raises(UsageError, match="beyond the stop time"):
+            copies.advance(0.5)
+
+
 def test_arrays_of_the_caller_are_copied():
     x = np.array([1.0, 2.0])
     with cosim.open(decay(), copies=2, start_values={"x": x}) as copies:

@@ -174,7 +174,7 @@ class SystemSession(Life):
 
     def _reject_goal(self, goal: float) -> None:
         start, stop = self._run.c.start, self._settings.stop
-        if self._ends and is_beyond(goal, stop):
+        if self._ends and is_beyond(self.time, goal, stop):
             raise ParameterError(
                 f"{self.name}: {goal:.12g} s is after the stop time {stop:.12g} s; open the "
                 "session with a later one"
