@@ -1,13 +1,16 @@
 """Units of connections and values by the definitions of the files that use them."""
 
+import numpy as np
 import pytest
 from helpers.described_files import described_file
 
 import cosim
+from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.errors import ParameterError, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.description import by_name, read_description
 from cosim.fmi.run.request import column_of
+from cosim.trajectory import Column, Trajectory
 
 PRESSURE, POWER, TIME = 'kg="1" m="-1" s="-2"', 'kg="1" m="2" s="-3"', 's="-1"'
 
@@ -154,3 +157,12 @@ def test_display_unit_that_is_a_reciprocal_is_not_used(tmp_path):
     with unpacked(path) as folder:
         description = read_description(folder, path)
     assert column_of(by_name(description)["y"], description).shown_unit == "Hz"
+
+
+def test_output_of_the_system_in_another_unit_is_not_shown_as_that_of_the_part():
+    column = Column("a.T", "K", "C", display_factor=1.0, display_offset=-273.15)
+    run = Trajectory("room", np.zeros(1), (column,), np.full((1, 1), 300.0), {})
+    shown = Connector("T", "degC", is_input=False, ends=(End(("a", "T"), 1.0, -273.15),))
+    own, whole = with_outputs(run, {"T": shown}, None).columns
+    assert own.shown(300.0) == pytest.approx(26.85, rel=1e-13)
+    assert (whole.shown_unit, whole.shown(26.85)) == ("degC", 26.85)
