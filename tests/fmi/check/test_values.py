@@ -1,5 +1,8 @@
 """Values of all types are those of the file, and those that were set; runs stay within bounds."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 from helpers.fmu_files import set_attributes, with_description
 from helpers.small_models import ball
@@ -197,3 +200,18 @@ def test_display_unit_whose_factor_is_not_that_of_its_name_is_found(tmp_path, ex
     edit = set_attributes("UnitDefinitions/Unit[@name='rad']/DisplayUnit", factor="60")
     path = with_description(own, tmp_path / "a.fmu", edit)
     assert {(f.level, f.rule) for f in {*examine(path)} - {*examine(own)}} == {(WRONG, "unit")}
+
+
+@pytest.mark.parametrize("other", [np.nan, -np.inf])
+def test_a_number_that_is_not_finite_hides_no_violated_bound(other):
+    variable = SimpleNamespace(name="y", causality="output", texts={"max": "1"}, nominal=1.0)
+    bench = SimpleNamespace(
+        described=SimpleNamespace(variables=[variable], interfaces={"CoSimulation": {}}),
+        single=lambda variable: True,
+        output_interval=lambda kind: 0.5,
+        run=lambda *_: (np.array([0.0, 0.5]), np.array([[other], [2.0]])),
+        tolerance=1e-6,
+        timeout=1.0,
+    )
+    [finding] = bounds(bench, "CoSimulation")
+    assert finding.found == "it is 2 at 0.5 s, out of its range -inf ... 1"
