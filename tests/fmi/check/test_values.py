@@ -13,7 +13,8 @@ import cosim
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import try_apart
-from cosim.fmi.check.trials.derivatives import derivatives
+from cosim.fmi.check.trials.derivatives import Known, derivatives
+from cosim.fmi.check.trials.derivatives import _compared as compared
 from cosim.fmi.check.trials.start import initialization, reset, start
 from cosim.fmi.check.trials.steps import calls, exchange
 from cosim.fmi.check.trials.switching import switching
@@ -215,3 +216,27 @@ def test_a_number_that_is_not_finite_hides_no_violated_bound(other):
     )
     [finding] = bounds(bench, "CoSimulation")
     assert finding.found == "it is 2 at 0.5 s, out of its range -inf ... 1"
+
+
+class Square:
+    """A session of y = u^2 at u = 2, whose directional derivative is a given number."""
+
+    def __init__(self, slope):
+        self.slope, self.u = slope, 2.0
+        self.bench = SimpleNamespace(second=True)
+
+    def values(self, _variables):
+        return np.array([self.u**2])
+
+    def put(self, _variable, value):
+        self.u = value
+
+    def slopes(self, _unknowns, _known):
+        return np.array([self.slope])
+
+
+@pytest.mark.parametrize(("slope", "found"), [(4.0, 0), (5.0, 1), (np.nan, 1)])
+def test_a_derivative_that_is_not_finite_differs_from_one_that_is(slope, found):
+    u, y = (SimpleNamespace(name=n, reference=n, nominal=1.0) for n in "uy")
+    known = [Known(u, None, required=True)]
+    assert len([*compared(Square(slope), [y], known, np.array([2.0]))]) == found
