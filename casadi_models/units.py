@@ -19,6 +19,18 @@ FOOT_POUND = FOOT * POUND  # N.m
 DEGREE = pi / 180  # rad
 RPM = pi / 30  # rad/s
 
+# Display units of the examples in Unit 7, by SI unit
+BOOK_UNITS = {
+    "rad": "deg",
+    "N": "lbf",
+    "N.m": "ft.lbf",
+    "J": "ft.lbf",
+    "m": "in",
+    "kg": "slug",
+    "N.m/rad": "ft.lbf/rad",
+    "N.m.s/rad": "ft.lbf.s/rad",
+}
+
 
 @dataclass(frozen=True)
 class Unit:

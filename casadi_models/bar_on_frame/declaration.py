@@ -8,21 +8,13 @@ from casadi import SX
 
 from casadi_models.bar_on_frame.shapes import draw
 from casadi_models.dae import Family, Model
-from casadi_models.units import DEGREE, FOOT, FOOT_POUND, INCH, SLUG
+from casadi_models.units import BOOK_UNITS, DEGREE, FOOT, FOOT_POUND, INCH, SLUG
 
 FAMILY = Family(
     "bar_on_frame",
     "bar pinned to a turning frame",
     "Unit 7, Example 2",
-    {
-        "rad": "deg",
-        "N": "lbf",
-        "N.m": "ft.lbf",
-        "J": "ft.lbf",
-        "m": "in",
-        "kg": "slug",
-        "N.m.s/rad": "ft.lbf.s/rad",
-    },
+    BOOK_UNITS,
     stop_time=10.0,
     draw=draw,
 )

@@ -74,29 +74,19 @@ def stages() -> dict[str, ca.Function]:
     )
     omega, v = (" ".join(name + body for body in BODIES) for name in ("omega", "vG"))
     functions = (
-        _stage("load_variables", _load_variables, "y"),
-        _stage("transformations", _transformations, "geometry phi delta psi theta"),
-        _stage("constraints", _constraints, "geometry phi theta R_B2C N_3"),
-        _stage("angular_partials", _angular_partials, "phi theta R_B2C J"),
-        _stage("linear_partials", _linear_partials, f"geometry theta R_B2C {W}"),
-        _stage("velocities", _velocities, f"u_I {W} {V}"),
+        _stage(_load_variables, "y"),
+        _stage(_transformations, "geometry phi delta psi theta"),
+        _stage(_constraints, "geometry phi theta R_B2C N_3"),
+        _stage(_angular_partials, "phi theta R_B2C J"),
+        _stage(_linear_partials, f"geometry theta R_B2C {W}"),
+        _stage(_velocities, f"u_I {W} {V}"),
         _stage(
-            "constraint_rates",
             _constraint_rates,
             "geometry phi delta theta phi_dot delta_dot theta_dot R_B2C N_3 C_2 J",
         ),
+        _stage(_angular_partial_rates, "phi theta phi_dot theta_dot R_B2C R_B2C_dot J J_dot"),
+        _stage(_linear_partial_rates, f"geometry theta theta_dot R_B2C R_B2C_dot {W} {W_dot}"),
         _stage(
-            "angular_partial_rates",
-            _angular_partial_rates,
-            "phi theta phi_dot theta_dot R_B2C R_B2C_dot J J_dot",
-        ),
-        _stage(
-            "linear_partial_rates",
-            _linear_partial_rates,
-            f"geometry theta theta_dot R_B2C R_B2C_dot {W} {W_dot}",
-        ),
-        _stage(
-            "state_derivative",
             _state_derivative,
             f"geometry masses inertias gravity torques theta R_R2B N_3 J J_dot u_I u_D "
             f"{W} {V} {omega} {v} {W_dot} {V_dot}",
@@ -238,8 +228,9 @@ def in_wheel_plane(N_3: SX) -> SX:
     return ca.vertcat(N_3[0], 0, N_3[2]) / sqrt(N_3[0] ** 2 + N_3[2] ** 2)
 
 
-def _stage(name: str, law: Callable[[Signals], Signals], inputs: str) -> ca.Function:
-    names = inputs.split()
+def _stage(law: Callable[[Signals], Signals], inputs: str) -> ca.Function:
+    """Return a function with the name of a law."""
+    name, names = law.__name__.removeprefix("_"), inputs.split()
     symbols = {n: SX.sym(n, *_shape(n)) for n in names}
     signals = law(symbols)
     return ca.Function(name, list(symbols.values()), list(signals.values()), names, list(signals))

@@ -11,7 +11,7 @@ from casadi import SX
 from casadi_models.crank_shaft.shapes import draw
 from casadi_models.dae import Family, Model
 from casadi_models.mechanics import kane
-from casadi_models.units import FOOT, INCH, POUND
+from casadi_models.units import BOOK_UNITS, FOOT, INCH, POUND
 
 # Corners of the path in units of the segment length (Unit 7, page 1)
 PATH = ((0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 0, 2), (-1, 0, 2), (-1, 0, 3), (0, 0, 3), (0, 0, 4))
@@ -20,15 +20,7 @@ FAMILY = Family(
     "crank_shaft",
     "crank shaft in two bearings",
     "Unit 7, Example 1",
-    {
-        "rad": "deg",
-        "rad/s": "rpm",
-        "N": "lbf",
-        "N.m": "ft.lbf",
-        "J": "ft.lbf",
-        "m": "in",
-        "kg": "slug",
-    },
+    BOOK_UNITS | {"rad/s": "rpm"},
     stop_time=4.0,
     draw=partial(draw, path=PATH),
 )

@@ -9,23 +9,13 @@ from casadi import SX
 from casadi_models.dae import Family, Model
 from casadi_models.disk_two_bars.shapes import draw
 from casadi_models.mechanics import kane, rotations
-from casadi_models.units import FOOT, FOOT_POUND, SLUG
+from casadi_models.units import BOOK_UNITS, FOOT, FOOT_POUND, SLUG
 
 FAMILY = Family(
     "disk_two_bars",
     "two hinged bars below a turning disk",
     "Unit 7, Exercise 7.1",
-    {
-        "rad": "deg",
-        "N": "lbf",
-        "N.m": "ft.lbf",
-        "J": "ft.lbf",
-        "m": "ft",
-        "kg": "slug",
-        "m/s2": "ft/s2",
-        "N.m/rad": "ft.lbf/rad",
-        "N.m.s/rad": "ft.lbf.s/rad",
-    },
+    BOOK_UNITS | {"m": "ft", "m/s2": "ft/s2"},
     stop_time=20.0,
     draw=draw,
 )

@@ -38,16 +38,14 @@ def build() -> Dae:
         constraints=ca.vertcat(bar1.velocity, bar2.velocity, bar1.omega[1:], relative[1:]),
     )
     accelerations = ca.vertcat(*(j.accelerations for j in joints))
-    loads = ca.vertcat(
-        *(
-            model.algebraic(n, "N", 0.0, bars.hinge_load("force", n), nominal=10.0)
-            for n in bars.FORCES
-        ),
-        *(
-            model.algebraic(n, "N.m", 0.0, bars.hinge_load("torque", n))
-            for n in ("t2_H1", "t3_H1", "t2_H2", "t3_H2")
-        ),
-    )
+    forces = [
+        model.algebraic(n, "N", 0.0, bars.hinge_load("force", n), nominal=10.0) for n in bars.FORCES
+    ]
+    torques = [
+        model.algebraic(n, "N.m", 0.0, bars.hinge_load("torque", n))
+        for n in ("t2_H1", "t3_H1", "t2_H2", "t3_H2")
+    ]
+    loads = ca.vertcat(*forces, *torques)
     model.equation(kane.multiplier_equations(system, accelerations, loads))
     bars.outputs(model, system, terms, kane.reactions(system, accelerations, loads))
     watch_joints(model, joints, system)

@@ -4,6 +4,7 @@ import casadi as ca
 from casadi import SX, sin
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import column
 from casadi_models.double_pendulum import links, orientation
 from casadi_models.double_pendulum.equations import add_motion
 from casadi_models.mechanics import conditions, rotations
@@ -26,18 +27,16 @@ def in_angles(formulation: str, axis: int, to_angles: SX, axes: SX) -> Dae:
     rates, turns, sines = [], [], []
     for link, start in enumerate(starts, start=1):
         rate = links.rate_states(model, link, start)
-        angles = ca.vertcat(
-            *(
-                model.state(
-                    f"{name}{link}",
-                    "rad",
-                    0.0,
-                    f"3-1-3 angle {name} of link {link}",
-                    nominal=10.0 if axis == 3 and name != "theta" else 1.0,  # they run on
-                    own_meaning=own_frame,
-                )
-                for name in ("psi", "theta", "phi")
+        angles = column(
+            model.state(
+                f"{name}{link}",
+                "rad",
+                0.0,
+                f"3-1-3 angle {name} of link {link}",
+                nominal=10.0 if axis == 3 and name != "theta" else 1.0,  # they run on
+                own_meaning=own_frame,
             )
+            for name in ("psi", "theta", "phi")
         )
         model.derivative(angles, orientation.angle_rates(angles, axes @ rate))
         in_e = rotations.quaternion_product(start.quaternion, orientation.conjugate(to_angles))

@@ -6,6 +6,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Family, Model
+from casadi_models.dae.expressions import column
 from casadi_models.double_pendulum import orientation
 from casadi_models.double_pendulum.shapes import draw
 from casadi_models.mechanics import rotations
@@ -90,17 +91,10 @@ def parameters(model: Model) -> tuple[Rod, tuple[Start, Start]]:
 
 def rate_states(model: Model, link: int, start: Start) -> SX:
     """Declare the angular velocity of a link in its frame."""
-    rate = ca.vertcat(
-        *(
-            model.state(
-                f"w{link}_{axis}",
-                "rad/s",
-                0.0,
-                f"rate of link {link} about its {axis}",
-                nominal=5.0,
-            )
-            for axis in "xyz"
-        )
+    about = f"rate of link {link} about its"
+    rate = column(
+        model.state(f"w{link}_{axis}", "rad/s", 0.0, f"{about} {axis}", nominal=5.0)
+        for axis in "xyz"
     )
     model.start(rate, start.rate, f"common start of link {link}")
     return rate
@@ -113,11 +107,8 @@ def quaternion_states(model: Model, link: int, start: Start, rate: SX) -> SX:
     unit quaternion, so that the solution and the order of a solver stay what they are; it pulls
     back a norm that numerical errors have changed.
     """
-    q = ca.vertcat(
-        *(
-            model.state(f"q{link}_{part}", "1", 0.0, quaternion_meaning(link, part))
-            for part in "wxyz"
-        )
+    q = column(
+        model.state(f"q{link}_{part}", "1", 0.0, quaternion_meaning(link, part)) for part in "wxyz"
     )
     model.start(q, start.quaternion, f"common start of link {link}")
     pull = NORM_RATE * (1 - ca.dot(q, q))
@@ -161,5 +152,5 @@ def _start(model: Model, link: int) -> Start:
         model.parameter(f"w{link}_{axis}0", "rad/s", value, f"start of link {link}: rate {axis}")
         for axis, value in zip("xyz", RATES[link - 1], strict=True)
     ]
-    column = ca.vertcat(*angles)
-    return Start(column, orientation.to_quaternion(column), ca.vertcat(*rate))
+    psi_theta_phi = ca.vertcat(*angles)
+    return Start(psi_theta_phi, orientation.to_quaternion(psi_theta_phi), ca.vertcat(*rate))

@@ -7,6 +7,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import column
 from casadi_models.double_pendulum import links
 from casadi_models.double_pendulum.links import Link
 from casadi_models.mechanics import conditions, kane, rotations
@@ -98,6 +99,4 @@ def _vector(
     meaning: str,
     axes: str = "xyz",
 ) -> SX:
-    return ca.vertcat(
-        *(declare(name.format(axis), unit, 0.0, f"{meaning} {axis}") for axis in axes)
-    )
+    return column(declare(name.format(axis), unit, 0.0, f"{meaning} {axis}") for axis in axes)

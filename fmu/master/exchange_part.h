@@ -11,23 +11,17 @@
 #include "model_exchange.h"
 
 typedef struct {
-    const Functions *call; /* of the FMU */
-    Answer *inputs;        /* NULL if they are constant within a step */
+    Run run;        /* of the FMU; nothing is recorded */
+    Answer *inputs; /* NULL if they are constant within a step */
     int (*get_2)(void *, const uint32_t *, size_t, double *);
     int (*get_3)(void *, const uint32_t *, size_t, double *, size_t);
-    long long states, indicators, needs_completed_step;
-    long long saves; /* whether the FMU saves its state; otherwise time and states are all of it */
-    double start, stop, relative_tolerance;
-    const double *nominals;
+    long long saves;  /* whether the FMU saves its state; otherwise time and states are all of it */
     Functions *steps; /* the functions of the part, some of which are its solver's */
-    /* answers */
-    const char *function; /* of the FMU, that failed */
 } Model;
 
 typedef struct {
     Model *model;
     Fmu fmu;
-    Run run;
     Exchange exchange;
 } Stepped;
 
@@ -42,7 +36,7 @@ typedef struct {
 /* A status for the master: a step that finds no end may be a shorter one. */
 static inline int status_of(Stepped *self, int how) {
     const int vanished = how == STEP_VANISHED;
-    self->model->function =
+    self->model->run.function =
         vanished ? "the integration (step size too small, or too many steps)" : self->fmu.function;
     return how == DONE                               ? OK
            : vanished || self->fmu.status == DISCARD ? DISCARD
@@ -71,7 +65,7 @@ static inline int pass_edge(Stepped *self, double edge, bool *event) {
     }
     memcpy(solver->signs, before, sizeof before);
     if (indicators_at(solver, edge, solver->x, z)) return CALL_FAILED;
-    *event = crossed(solver, z) || (any && !self->run.indicators);
+    *event = crossed(solver, z) || (any && !self->model->run.indicators);
     memcpy(solver->signs, z, sizeof z);
     return DONE;
 }
@@ -80,7 +74,7 @@ static inline int pass_edge(Stepped *self, double edge, bool *event) {
  * show it. */
 static inline int step_until(Stepped *self, double goal, bool *event) {
     Exchange *solver = &self->exchange;
-    const double from = solver->t, edge = from + resolution(&self->run, from);
+    const double from = solver->t, edge = from + resolution(&self->model->run, from);
     double x[NX], signs[NZ];
     if (goal - from <= 4 * DBL_EPSILON * fmax(fabs(goal), fabs(from))) {
         solver->t = goal; /* as time is rounded */
@@ -108,7 +102,7 @@ static int step_model(void *stepper, double t, double length, bool no_way_back, 
     *event = *terminate = *early = false;
     self->fmu.function = NULL;
     self->fmu.status = OK;
-    *last = self->run.time = solver->t = t;
+    *last = self->model->run.time = solver->t = t;
     if (indicators_at(solver, t, solver->x, z)) return status_of(self, CALL_FAILED);
     const bool timed = solver->events.next_defined;
     if (crossed(solver, z) || (timed && solver->events.next <= t)) {
@@ -125,7 +119,7 @@ static int step_model(void *stepper, double t, double length, bool no_way_back, 
 }
 
 static int enter_events(void *stepper) {
-    const Functions *call = ((Stepped *)stepper)->model->call;
+    const Functions *call = ((Stepped *)stepper)->fmu.call;
     return call->enter_event_mode(call->instance);
 }
 
@@ -145,14 +139,14 @@ static int update_model(void *stepper, bool *needed, bool *terminate, bool *nomi
 static int leave_events(void *stepper) {
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
-    const Functions *call = self->model->call;
-    const size_t n = (size_t)self->run.states;
+    const Functions *call = self->fmu.call;
+    const size_t n = (size_t)self->model->run.states;
     const int wrong =
         failed(&self->fmu, "enter_continuous_time_mode",
                call->enter_continuous_time_mode(call->instance)) ||
         (n && failed(&self->fmu, "get_states", call->get_states(call->instance, solver->x, n)));
     if (wrong) return status_of(self, CALL_FAILED);
-    const size_t indicators = (size_t)self->run.indicators; /* with the inputs of now */
+    const size_t indicators = (size_t)self->model->run.indicators; /* with the inputs of now */
     const int lost =
         indicators && failed(&self->fmu, "get_indicators",
                              call->get_indicators(call->instance, solver->signs, indicators));
@@ -163,7 +157,7 @@ static int leave_events(void *stepper) {
 static inline int outputs_at(Stepped *self, double t, const double *x, const uint32_t *references,
                              size_t n, double *y) {
     const Model *model = self->model;
-    void *const instance = model->call->instance;
+    void *const instance = self->fmu.call->instance;
     if (move_fmu(&self->exchange, t, x)) return 1;
     return failed(&self->fmu, "an output",
                   model->get_2 ? model->get_2(instance, references, n, y)
@@ -177,16 +171,15 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
                           const int32_t *orders, double *rates, size_t count) {
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
-    const double t = solver->t;
+    const double t = solver->t, span = self->model->run.stop - self->model->run.start;
     double x[NX], before[TOGETHER] = {0};
     (void)orders, (void)count;
     self->fmu.function = NULL;
     self->fmu.status = OK;
     int wrong = n > TOGETHER || slope(&solver->ode, t, solver->x, solver->k[0]);
-    double d = SHARE * (self->run.stop - self->run.start) / 50;
-    if (!wrong && self->run.states) {
-        d = fmin(d, SHARE * first_step(&solver->ode, t, self->run.stop - self->run.start, solver->x,
-                                       solver->k));
+    double d = SHARE * span / 50;
+    if (!wrong && self->model->run.states) {
+        d = fmin(d, SHARE * first_step(&solver->ode, t, span, solver->x, solver->k));
         wrong = is_final(solver);
     }
     d = fmax(d, 1e4 * DBL_EPSILON * fabs(t));
@@ -219,7 +212,7 @@ static int take_numbers(Stepped *self, const double *numbers) {
 
 static int save_model(void *stepper, void **place) {
     const Stepped *self = stepper;
-    const Functions *call = self->model->call;
+    const Functions *call = self->fmu.call;
     Saved *saved = *place ? *place : calloc(1, sizeof *saved);
     if (!saved) return FAILED;
     *place = saved;
@@ -229,7 +222,7 @@ static int save_model(void *stepper, void **place) {
 
 static int restore_model(void *stepper, void *place) {
     Stepped *self = stepper;
-    const Functions *call = self->model->call;
+    const Functions *call = self->fmu.call;
     const Saved *saved = place;
     const int status = self->model->saves ? call->set_fmu_state(call->instance, saved->state) : OK;
     return status > WARNING ? status : take_numbers(self, saved->numbers);
@@ -244,7 +237,7 @@ SHARED long long numbers_of_model(const Functions *steps, double *place, int in)
 }
 
 static int forget_model(void *stepper, void **place) {
-    const Functions *call = ((const Stepped *)stepper)->model->call;
+    const Functions *call = ((const Stepped *)stepper)->fmu.call;
     Saved *saved = *place;
     if (saved && saved->state) call->free_fmu_state(call->instance, &saved->state);
     free(saved);
@@ -258,21 +251,12 @@ SHARED int open_model(Model *model) {
     Stepped *self = calloc(1, sizeof *self);
     if (!self) return 1;
     self->model = model;
-    self->fmu.call = model->call;
-    self->run = (Run){.functions = model->call,
-                      .start = model->start,
-                      .stop = model->stop,
-                      .time = model->start,
-                      .states = model->states,
-                      .indicators = model->indicators,
-                      .needs_completed_step = model->needs_completed_step,
-                      .relative_tolerance = model->relative_tolerance,
-                      .nominals = model->nominals};
+    self->fmu.call = model->run.functions;
     self->exchange = (Exchange){
-        .run = &self->run, .fmu = &self->fmu, .t = model->start, .inputs = model->inputs};
+        .run = &model->run, .fmu = &self->fmu, .t = model->run.start, .inputs = model->inputs};
     self->exchange.ode = (Ode){exchange_slope, exchange_scale, &self->exchange};
     Functions *steps = model->steps;
-    *steps = *model->call;
+    *steps = *model->run.functions;
     steps->stepper = self;
     steps->do_step_3 = step_model;
     steps->enter_event_mode = enter_events;

@@ -28,6 +28,7 @@ def files(tmp_path_factory):
     return {
         "ball": ball,
         "exchange": exchange_only(exchange),
+        "kept": exchange_only(exchange, canSerializeFMUState="false"),
         "stateless": exchange_only(exchange, **WITHOUT_STATE),
         "lag": foreign_part(folder, "lag"),
         "keeper": foreign_part(folder, "lag", canSerializeFMUstate="false"),

@@ -236,15 +236,15 @@ def test_a_state_that_one_copy_cannot_take_changes_no_copy(lags):
 def test_a_copy_whose_file_rejects_its_state_fails_alone(lags, monkeypatch):
     saved = lags.save()
     lags.advance(0.5)
-    put = StateCalls.go_back
+    put = StateCalls.restore
 
-    def reject(calls, number):
+    def reject(calls, content, size):
         if calls is lags._engine._sessions[1]._states:
             raise FmuError("rejected")
-        put(calls, number)
+        return put(calls, content, size)
 
     with monkeypatch.context() as patched:
-        patched.setattr(StateCalls, "go_back", reject)
+        patched.setattr(StateCalls, "restore", reject)
         lags.restore(saved)
     assert (lags.time, lags.reasons) == (0.0, {1: "rejected"})
     lags.advance(1.0)

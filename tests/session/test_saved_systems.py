@@ -83,10 +83,10 @@ def test_state_from_before_a_reset_to_another_time_goes_on_with_the_same_bits(wa
 def test_state_that_a_part_rejects_is_an_error(files):
     with cosim.open(balls(files, "ball")) as session:
         content = session.save()
-        owner, clock, place, notes, size = unpacked("balls", content, has_sum=False)
+        owner, clock, notes, size = unpacked("balls", content, has_sum=False)
         damaged = bytearray(content[:size])
         damaged[-100] ^= 1
-        saved = packed(owner, clock, place, notes, bytes(damaged), has_sum=False)
+        saved = packed(owner, clock, notes, bytes(damaged), has_sum=False)
         with pytest.raises(FmuError, match=r"part 'ball': .*rejects the saved state"):
             session.restore(saved)
         session.reset()

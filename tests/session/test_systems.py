@@ -27,6 +27,7 @@ SYSTEMS = {
     "exchange, driven": lambda files: cosim.couple(
         {"lag": files["lag"], "ball": files["exchange"]}, {"ball.wind": "lag.y"}, stop_time=1.0
     ),
+    "exchange, kept": lambda files: balls(files, "kept"),
     "stateless": lambda files: balls(files, "stateless"),
 }
 SERIALIZED = ("loop", "chain", "events", "exchange", "exchange, driven")

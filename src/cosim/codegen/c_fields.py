@@ -28,7 +28,7 @@ def fields(header: str, name: str, **types: Any) -> Sequence[tuple[str, Any]]:
     found = list[tuple[str, Any]]()
     for kind, names in _DECLARATION.findall(_FUNCTION.sub(r"\1", body)):
         for star, field, size in _NAME.findall(names):
-            own = _TYPES.get(kind + star, ctypes.c_void_p) if star else _TYPES[kind]
-            own = types.get(field, own)
+            usual = ctypes.c_void_p if star else None
+            own: Any = types.get(field, _TYPES.get(kind + star, usual))
             found.append((field, own * int(size) if size else own))
     return found

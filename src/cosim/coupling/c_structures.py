@@ -28,12 +28,10 @@ def coupling_library() -> ctypes.CDLL:
     """Return the library of fmu/master/open_system.h."""
     text = master_source("open_system.h")
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    own = ctypes.POINTER(SystemOfC)
-    for name in ("settle", "open", "advance", "close"):
-        call = library[f"{name}_coupled"]
-        call.argtypes, call.restype = [own], None
-    for call in (library.begin_changes, library.end_changes):
-        call.argtypes, call.restype = [own], None
-    library.numbers_of_coupled.argtypes = [own, ctypes.c_void_p, ctypes.c_int]
+    library.numbers_of_coupled.argtypes = [
+        ctypes.POINTER(SystemOfC),
+        ctypes.c_void_p,
+        ctypes.c_int,
+    ]
     library.numbers_of_coupled.restype = ctypes.c_longlong
     return library

@@ -9,18 +9,15 @@ from cosim.codegen.c_fields import fields
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
-from cosim.fmi.run.c_structures import Calls, Functions, addresses_of
+from cosim.fmi.run.c_structures import Calls, Functions, Run, addresses_of, exchange_run
 from cosim.fmi.run.description import is_second
-from cosim.fmi.run.request import nominals_of
 from cosim.memo import cached_per_thread
-
-_CALLS = dict.fromkeys(("call", "steps"), ctypes.POINTER(Functions))
 
 
 class _Model(ctypes.Structure):
     """`Model` in fmu/master/exchange_part.h."""
 
-    _fields_ = fields("master/exchange_part.h", "Model", **_CALLS)
+    _fields_ = fields("master/exchange_part.h", "Model", run=Run, steps=ctypes.POINTER(Functions))
 
 
 class ExchangeSolver:
@@ -47,35 +44,31 @@ class ExchangeSolver:
         saves: bool,
         **experiment: float,
     ) -> None:
-        n, indicators = description.numberOfContinuousStates, description.numberOfEventIndicators
-        self._held = np.append(nominals_of(instance, n), 1.0), calls
+        start, stop, relative = (experiment[n] for n in ("startTime", "stopTime", "tolerance"))
+        run, nominals = exchange_run(
+            instance, description, calls, start=start, stop=stop, relative_tolerance=relative
+        )
+        self._held = nominals, calls
         self.functions = Functions()
         getter = "Real" if is_second(description) else "Float64"
         get_2, get_3 = addresses_of(instance, "Get", getter, is_second(description))
         self._model = _Model(
-            call=ctypes.pointer(calls.functions),
+            run=run,
             inputs=inputs,
             get_2=get_2,
             get_3=get_3,
-            states=n,
-            indicators=indicators,
-            needs_completed_step=description.modelExchange.needsCompletedIntegratorStep,
             saves=saves,
-            start=experiment["startTime"],
-            stop=experiment["stopTime"],
-            relative_tolerance=experiment["tolerance"],
-            nominals=self._held[0].ctypes.data,
             steps=ctypes.pointer(self.functions),
         )
-        self._library = _library(max(n, 1), max(indicators, 1))
+        self._library = _library(max(run.states, 1), max(run.indicators, 1))
         if self._library.open_model(ctypes.byref(self._model)):
             raise MemoryError
 
     def failed_function(self, field: bytes) -> bytes:
         """Return the field of `Functions` or the words for what has failed in a call."""
         own = getattr(self.functions, field.decode(), None)
-        replaced = own and own != getattr(self._model.call.contents, field.decode())
-        return (self._model.function if replaced else None) or field
+        replaced = own and own != getattr(self._model.run.functions.contents, field.decode())
+        return (self._model.run.function if replaced else None) or field
 
     def numbers(self) -> bytes:
         """Return what the solver's next step begins with, beside the state of the FMU."""
@@ -100,9 +93,6 @@ def _library(states: int, indicators: int) -> ctypes.CDLL:
     coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
     text = sizes + master_source("exchange_part.h") + coefficients
     library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    library.open_model.argtypes = [ctypes.POINTER(_Model)]
     library.numbers_of_model.argtypes = [ctypes.POINTER(Functions), ctypes.c_void_p, ctypes.c_int]
     library.numbers_of_model.restype = ctypes.c_longlong
-    library.close_model.argtypes = [ctypes.POINTER(Functions)]
-    library.close_model.restype = None
     return library

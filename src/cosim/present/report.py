@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import casadi_models
 from casadi_models.dae import Dae, Start, Variable
-from casadi_models.printed import Printed
+from casadi_models.printed import PRINTED
 from casadi_models.units import convert
 from cosim.drawing.diagram import diagram
 from cosim.drawing.picture import draw_pose
@@ -235,11 +235,7 @@ def printed_rows(scene: Scene, run: Trajectory) -> Iterable[dict[str, Any]]:
     )
     if dae.full_name not in casadi_models.CATALOG or changed or scene.request.inputs is not None:
         return
-    try:
-        printed: Sequence[Printed] = import_module(f"casadi_models.{dae.name}.printed").PRINTED
-    except ModuleNotFoundError:
-        return
-    for number in printed:
+    for number in PRINTED.get(dae.name, ()):
         if number.variable not in run.names or not len(run):
             continue
         i = int(np.argmin(np.abs(run.time - number.time)))

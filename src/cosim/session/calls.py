@@ -1,6 +1,7 @@
 """`PreparedCalls`: the C functions of one FMU instance, with arguments that are converted once."""
 
 import ctypes
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.c_structures import c_type
 from cosim.fmi.run.description import is_second
-from cosim.fmi.run.instance import getter_name
+from cosim.fmi.run.instance import layouts_of
 
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)  # statuses of FMI 2 and 3
 _LAST_SUCCESSFUL_TIME = 2  # kinds of FMI 2's status
@@ -20,6 +21,7 @@ _TERMINATED = 3
 _SIZE = ctypes.c_size_t
 _DOUBLE = ctypes.c_double
 _POINTER = ctypes.c_void_p
+_NUMBER = struct.Struct("<Q")
 
 
 class Step(NamedTuple):
@@ -42,8 +44,10 @@ class Group:
         columns: Places of the variables in the list that the user gave.
     """
 
-    def __init__(self, calls: "PreparedCalls", kind: str, variables: Sequence[Any]) -> None:
-        layout, second = Layout.of(variables), calls.second
+    def __init__(
+        self, calls: "PreparedCalls", kind: str, layout: Layout, columns: list[int]
+    ) -> None:
+        second = calls.second
         references = (ctypes.c_uint32 * len(layout.references))(*layout.references)
         values = (c_type(kind, second) * layout.values)()
         self.buffer = np.frombuffer(values, dtype=np.dtype(values._type_))
@@ -55,7 +59,7 @@ class Group:
         self._get = calls.function(f"Get{kind}")
         self._set = calls.function(f"Set{kind}")
         self._arguments = arguments
-        self.columns: list[int] = []
+        self.columns = columns
 
     def get(self) -> int:
         """Read the values into the buffer."""
@@ -111,15 +115,7 @@ class PreparedCalls:
 
     def groups(self, variables: Sequence[Any]) -> list[Group]:
         """Return variables by their C types, in the order of their first occurrence."""
-        kinds: dict[str, list[int]] = {}
-        for place, variable in enumerate(variables):
-            kinds.setdefault(getter_name(variable, self._description), []).append(place)
-        found = []
-        for kind, places in kinds.items():
-            group = Group(self, kind, [variables[place] for place in places])
-            group.columns = places
-            found.append(group)
-        return found
+        return [Group(self, *layout) for layout in layouts_of(variables, self._description)]
 
     def step(self, time: float, length: float) -> Step:
         """Take a communication step from a time, s."""
@@ -144,10 +140,13 @@ class PreparedCalls:
 class StateCalls:
     """Functions of an instance that save and restore its state.
 
+    A state is the bytes that the FMU writes, or else the number of one that this process holds.
+
     Args:
         calls: Of the instance.
         check: Raises the error of a status.
         is_own: Whether the FMU was exported here.
+        serializes: Whether it writes its state as bytes.
 
     Attributes:
         saved: Pointers to the states to free before the instance.
@@ -155,21 +154,29 @@ class StateCalls:
     """
 
     def __init__(
-        self, calls: PreparedCalls, check: Callable[[int, str], None], *, is_own: bool
+        self,
+        calls: PreparedCalls,
+        check: Callable[[int, str], None],
+        *,
+        is_own: bool,
+        serializes: bool,
     ) -> None:
         state = "FMUstate" if calls.second else "FMUState"
-        size_of, write, read = (
-            f"Serialized{state}Size",
-            f"Serialize{state}",
-            f"{'DeSerialize' if calls.second else 'Deserialize'}{state}",
-        )
         self._check = check
         self._instance = calls.instance
-        names = (f"Get{state}", f"Set{state}", f"Free{state}", size_of, write, read)
-        self._take, self._put, freed, self._size_of, self._write, self._read = (
-            (calls.function(name), name) for name in names
-        )
+        self._serializes = serializes
+        names = (f"Get{state}", f"Set{state}", f"Free{state}")
+        self._take, self._put, freed = ((calls.function(name), name) for name in names)
         self.free = freed[0]
+        if serializes:
+            names = (
+                f"Serialized{state}Size",
+                f"Serialize{state}",
+                f"{'DeSerialize' if calls.second else 'Deserialize'}{state}",
+            )
+            self._size_of, self._write, self._read = (
+                (calls.function(name), name) for name in names
+            )
         self._state = _POINTER()
         self._size = _SIZE()
         self._length = _SIZE()
@@ -188,7 +195,11 @@ class StateCalls:
             self._check(status, call[1])
 
     def save(self) -> bytes:
-        """Return the state as bytes."""
+        """Return the state."""
+        if not self._serializes:
+            self.saved.append(_POINTER())  # freed even if the call fails
+            self._call(self._take, self._instance, ctypes.byref(self.saved[-1]))
+            return _NUMBER.pack(len(self.saved) - 1)
         self._call(self._take, self._instance, self._at_state)
         if self._is_block:
             return self._room.raw
@@ -211,6 +222,9 @@ class StateCalls:
             content: Begins with what `save` has returned.
             size: Length of it.
         """
+        if not self._serializes:
+            self._call(self._put, self._instance, self.saved[_NUMBER.unpack_from(content)[0]])
+            return True
         if self._is_block:
             same_length = size == len(self._room)
             return same_length and self._put[0](self._instance, content) <= WARNING
@@ -225,16 +239,9 @@ class StateCalls:
             self.free(self._instance, self._read_place)
         return True
 
-    def keep(self) -> int:
-        """Save the state in this process; return its number."""
-        state = _POINTER()
-        self._call(self._take, self._instance, ctypes.byref(state))
-        self.saved.append(state)
-        return len(self.saved) - 1
-
-    def go_back(self, number: int) -> None:
-        """Set the state of a number."""
-        self._call(self._put, self._instance, self.saved[number])
+    def holds(self, content: bytes) -> bool:
+        """Tell whether a state that `save` has returned is not freed."""
+        return self._serializes or _NUMBER.unpack_from(content)[0] < len(self.saved)
 
 
 def free_states(instance: Any, free: Callable[..., int], saved: Sequence[Any]) -> None:

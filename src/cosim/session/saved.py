@@ -9,10 +9,10 @@ from typing import Any
 from cosim.errors import UsageError
 from cosim.text import Violation
 
-# format, owner, clock, number of a state in this process, length of the notes
-_HEAD = struct.Struct("<8s16s3d3q")
+# format, owner, clock, length of the notes
+_HEAD = struct.Struct("<8s16s3d2q")
 _SUM = 4  # bytes of the checksum
-_FORMAT = b"session4"
+_FORMAT = b"session5"
 
 ClockFacts = tuple[float, float, float, int]
 
@@ -34,28 +34,23 @@ def take_notes(instances: Sequence[Any], notes: bytes) -> None:
         instance.violations[:] = [Violation(*one) for one in violations]
 
 
-def packed(
-    owner: bytes, clock: ClockFacts, number: int, notes: bytes, state: bytes, *, has_sum: bool
-) -> bytes:
+def packed(owner: bytes, clock: ClockFacts, notes: bytes, state: bytes, *, has_sum: bool) -> bytes:
     """Return the bytes of a session.
 
     Args:
         owner: Of the state: a model or a session.
         clock: Facts of the clock.
-        number: Of a state that the process holds.
         notes: See `notes_of`.
-        state: Written by the FMU.
+        state: See `StateCalls`.
         has_sum: Whether the state has a checksum of its own, which the FMU verifies.
     """
-    head = notes + _HEAD.pack(_FORMAT, owner, *clock, number, len(notes))
+    head = notes + _HEAD.pack(_FORMAT, owner, *clock, len(notes))
     checked = head if has_sum else state + head
     return state + (head + zlib.crc32(checked).to_bytes(_SUM, "little"))
 
 
-def unpacked(
-    session: str, saved: bytes, *, has_sum: bool
-) -> tuple[bytes, ClockFacts, int, bytes, int]:
-    """Return owner, clock, number, notes, and the length of the state, which comes first.
+def unpacked(session: str, saved: bytes, *, has_sum: bool) -> tuple[bytes, ClockFacts, bytes, int]:
+    """Return owner, clock, notes, and the length of the state, which comes first.
 
     Raises:
         UsageError: The bytes are no saved session, or damaged.
@@ -66,14 +61,14 @@ def unpacked(
     place = end - _HEAD.size
     if place < 0:
         raise damaged(session)
-    form, owner, now, first, length, count, number, size = _HEAD.unpack_from(saved, place)
+    form, owner, now, first, length, count, size = _HEAD.unpack_from(saved, place)
     begin = place - size
     if form != _FORMAT or not 0 <= begin <= place:
         raise damaged(session)
     checked = saved[begin if has_sum else 0 : end]
     if saved[end:] != zlib.crc32(checked).to_bytes(_SUM, "little"):
         raise damaged(session)
-    return owner, (now, first, length, count), number, saved[begin:place], begin
+    return owner, (now, first, length, count), saved[begin:place], begin
 
 
 def damaged(session: str) -> UsageError:

@@ -262,7 +262,8 @@ class Session(Life):
     def _states(self) -> StateCalls:
         if not self._description.coSimulation.canGetAndSetFMUstate:
             raise FmuError(f"{self.name} cannot save its state; begin again with reset")
-        found = StateCalls(self._calls, self._check, is_own=self._file.is_own)
+        is_own, serializes = self._file.is_own, self._serializes
+        found = StateCalls(self._calls, self._check, is_own=is_own, serializes=serializes)
         self._stack.callback(free_states, self._instance, found.free, found.saved)
         return found
 
@@ -278,17 +279,12 @@ class Session(Life):
         """
         if self._phase is not RUNNING:
             self._require()
-        place = 0
-        content = b""
-        if self._serializes:
-            content = self._states.save()
-        else:
-            place = self._states.keep()
+        content = self._states.save()
         notes = b""
         if self._events or self._instance.violations:
             notes = notes_of([self._instance])
-        clock = self._clock.facts
-        return packed(self._owner, clock, place, notes, content, has_sum=self._file.is_own)
+        facts = self._clock.facts
+        return packed(self._owner, facts, notes, content, has_sum=self._file.is_own)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; also after a failure or the end of the run.
@@ -297,10 +293,8 @@ class Session(Life):
             UsageError: The bytes are no saved state of this model, or damaged.
             FmuError: The FMU rejects the state, or the session is closed.
         """
-        clock, place, notes, size = self.checked_state(saved)
-        if not self._serializes:
-            self._states.go_back(place)
-        elif not self._states.restore(saved, size):
+        clock, notes, size = self.checked_state(saved)
+        if not self._states.restore(saved, size):
             self._instance.log_texts.clear()
             raise damaged(self.name)
         self._clock.facts = clock
@@ -308,23 +302,23 @@ class Session(Life):
             take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
-        """Return clock, number, notes and size of a saved state that is one of this session.
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, bytes, int]:
+        """Return clock, notes and size of a saved state that is one of this session.
 
         Raises:
             UsageError, FmuError: See `restore`.
         """
         if self._phase is not RUNNING:
             self._reject_closed()
-        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=self._file.is_own)
+        owner, clock, notes, size = unpacked(self.name, saved, has_sum=self._file.is_own)
         if owner != self._owner:
             what = "session, as its FMU writes no state as bytes"
             if self._serializes:
                 what = "model, or with another relative_tolerance"
             raise UsageError(f"{self.name}: these bytes were saved by another {what}")
-        if not self._serializes and place >= len(self._states.saved):
+        if not self._states.holds(saved):
             raise UsageError(f"{self.name}: this state was freed by a reset; save it anew")
-        return clock, place, notes, size
+        return clock, notes, size
 
     @naming_arguments
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:

@@ -6,7 +6,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any, NoReturn
 
@@ -36,10 +36,8 @@ from cosim.session.life import Life, Phase
 from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import ClockFacts, notes_of, packed, take_notes, unpacked
-from cosim.session.values import finite, may_change, not_settable, sequence_by_name
+from cosim.session.values import LARGEST, finite, may_change, not_settable, sequence_by_name
 from cosim.trajectory import Event
-
-_LARGEST = 64  # lists of variables whose calls are prepared
 
 
 class SystemSession(Life):
@@ -113,7 +111,7 @@ class SystemSession(Life):
         self._begun.close()
         for name in ("_states", "_saver"):
             vars(self).pop(name, None)
-        self._selections: dict[Any, tuple[list[Any], Vector, Vector]] = {}
+        self._selection = lru_cache(LARGEST)(self._prepared)
         with self._system.naming_files():
             run = self._instances.opened(settings, values, self._called, ends=self._ends)
             self._run = self._begun.enter_context(closing(run))
@@ -251,13 +249,7 @@ class SystemSession(Life):
         if self._phase is not Phase.RUNNING and self._phase is not Phase.ENDED:
             self._require()
         chosen = self.outputs if names is None else listed(f"{self.name}: get", names)
-        selection = self._selections.get(chosen)
-        if selection is None:
-            selection = self._selection(chosen)
-            if len(self._selections) >= _LARGEST:
-                self._selections.clear()
-            self._selections[chosen] = selection
-        groups, factors, offsets = selection
+        groups, factors, offsets = self._selection(chosen)
         row = np.empty(len(chosen))
         for part, group, columns in groups:
             if (status := group.get()) > WARNING:
@@ -272,7 +264,7 @@ class SystemSession(Life):
         with explained(self.name, part):
             raise FMICallException(function=function, status=status)
 
-    def _selection(self, names: tuple[str, ...]) -> tuple[list[Any], Vector, Vector]:
+    def _prepared(self, names: tuple[str, ...]) -> tuple[list[Any], Vector, Vector]:
         """Return what reads variables: calls of each part with their columns, factors, offsets."""
         ends = [self._behind(name) for name in names]
         by_part: dict[str, list[int]] = {}
@@ -323,35 +315,27 @@ class SystemSession(Life):
         its state as bytes, for this session until its reset.
         """
         self._require()
-        states = self._states
         numbers = np.empty(self._run.numbers(None))
         self._run.numbers(numbers)
-        content, place = numbers.tobytes(), 0
-        if states.serializes:
-            content += states.write()
-        else:
-            place = states.keep()
+        content = numbers.tobytes() + self._states.save()
         notes = notes_of([part.instance for part in self._instances.parts.values()])
-        return packed(self._saver, self._clock.facts, place, notes, content, has_sum=False)
+        return packed(self._saver, self._clock.facts, notes, content, has_sum=False)
 
     def restore(self, saved: bytes) -> None:
         """Go back, or forward, to a saved state; see `Session.restore`."""
-        clock, place, notes, length = self.checked_state(saved)
+        clock, notes, length = self.checked_state(saved)
         self._phase = Phase.FAILED
-        size, states = 8 * self._run.numbers(None), self._states
-        if states.serializes:
-            states.read(saved[size:length])
-        else:
-            states.go_back(place)
+        size = 8 * self._run.numbers(None)
+        self._states.restore(saved[size:length])
         self._run.numbers(np.frombuffer(saved[:size]).copy(), back=True)
         self._clock.facts = clock
         take_notes([part.instance for part in self._instances.parts.values()], notes)
         self._answer(())
 
-    def checked_state(self, saved: bytes) -> tuple[ClockFacts, int, bytes, int]:
-        """Return clock, number, notes and size of a saved state; see `Session.checked_state`."""
+    def checked_state(self, saved: bytes) -> tuple[ClockFacts, bytes, int]:
+        """Return clock, notes and size of a saved state; see `Session.checked_state`."""
         self._reject_closed()
-        owner, clock, place, notes, size = unpacked(self.name, saved, has_sum=False)
+        owner, clock, notes, size = unpacked(self.name, saved, has_sum=False)
         if not self._run.is_open:
             raise FmuError(f"{self.name}: the session has not begun; begin again with reset")
         for name, part in self._instances.parts.items():
@@ -364,7 +348,7 @@ class SystemSession(Life):
                 f"{self.name}: these bytes were saved by another session or system, or with "
                 "another macro_step, method, accuracy or tolerance"
             )
-        return clock, place, notes, size
+        return clock, notes, size
 
     def linearize(self, outputs: Sequence[str] | None = None) -> LinearSystem:
         """Reject the linearization of a system whose parts are FMUs."""

@@ -1,6 +1,7 @@
 """`Values`: variables of a session, set and read by prepared calls."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
@@ -16,7 +17,7 @@ from cosim.model.values import listed
 from cosim.session.calls import WARNING, Group, PreparedCalls
 
 _FLOATS = ("Real", "Float64")  # which take every finite float as it is
-_LARGEST = 64  # lists of variables whose calls are prepared
+LARGEST = 64  # lists of variables whose calls are prepared
 
 
 class Values:
@@ -45,7 +46,7 @@ class Values:
         self._variables = by_name(description)
         self.inputs = inputs_of(description)
         self.outputs = outputs
-        self._selections: dict[Any, list[Group]] = {}
+        self._selection = lru_cache(LARGEST)(self._prepared)
         self._setters: dict[str, tuple[Any, Group]] = {}
 
     def set(self, values: Any, named: dict[str, Any]) -> None:
@@ -90,12 +91,11 @@ class Values:
     def get(self, names: Sequence[str] | None) -> Vector:
         """Return values, (n,); see `Session.get`."""
         key = tuple(names) if isinstance(names, list) else names
+        prepared = self._selection if isinstance(key, tuple | None) else self._prepared
         try:
-            groups = self._selections.get(key) if isinstance(key, tuple | None) else None
+            groups = prepared(key)
         except (TypeError, NotImplementedError):  # what cannot be looked up is no name
-            groups = None
-        if groups is None:
-            groups = self._selection(key)
+            groups = self._prepared(key)
         if len(groups) == 1 and groups[0].is_plain:
             status = groups[0].get()
             if status > WARNING:
@@ -107,18 +107,14 @@ class Values:
             row[group.columns] = group.buffer[group.places]
         return row
 
-    def _selection(self, names: Any) -> list[Group]:
+    def _prepared(self, names: Any) -> list[Group]:
         """Prepare the calls that read variables."""
         chosen = self.outputs if names is None else listed(f"{self._name}: get", names)
         for name in chosen:
             UnknownName.reject(self._name, "variable", self._variables, name)
             if not is_number(self._variables[name]):
                 raise UsageError(f"{self._name}: {name} is not a single number")
-        if len(self._selections) >= _LARGEST:
-            self._selections.clear()
-        groups = self._calls.groups([self._variables[name] for name in chosen])
-        self._selections[chosen if names is not None else None] = groups
-        return groups
+        return self._calls.groups([self._variables[name] for name in chosen])
 
 
 def finite(owner: str, names: Sequence[str], values: Vector, time: float) -> Vector:

@@ -203,21 +203,6 @@ def test_display_unit_whose_factor_is_not_that_of_its_name_is_found(tmp_path, ex
     assert {(f.level, f.rule) for f in {*examine(path)} - {*examine(own)}} == {(WRONG, "unit")}
 
 
-@pytest.mark.parametrize("other", [np.nan, -np.inf])
-def test_a_number_that_is_not_finite_hides_no_violated_bound(other):
-    variable = SimpleNamespace(name="y", causality="output", texts={"max": "1"}, nominal=1.0)
-    bench = SimpleNamespace(
-        described=SimpleNamespace(variables=[variable], interfaces={"CoSimulation": {}}),
-        single=lambda variable: True,
-        output_interval=lambda kind: 0.5,
-        run=lambda *_: (np.array([0.0, 0.5]), np.array([[other], [2.0]])),
-        tolerance=1e-6,
-        timeout=1.0,
-    )
-    [finding] = bounds(bench, "CoSimulation")
-    assert finding.found == "it is 2 at 0.5 s, out of its range -inf ... 1"
-
-
 class Square:
     """A session of y = u^2 at u = 2, whose directional derivative is a given number."""
 
@@ -240,3 +225,15 @@ def test_a_derivative_that_is_not_finite_differs_from_one_that_is(slope, found):
     u, y = (SimpleNamespace(name=n, reference=n, nominal=1.0) for n in "uy")
     known = [Known(u, None, required=True)]
     assert len([*compared(Square(slope), [y], known, np.array([2.0]))]) == found
+
+
+def test_output_that_is_no_number_hides_no_violated_bound(tmp_path):
+    body = (
+        "fmi2Status s = CALL; fmi2ValueReference r = REF(time); double now; "
+        f"inner_fmi2GetReal(c, &r, 1, &now); {ALL} "
+        "if (vr[i] == REF(energy) && now > 1.9) value[i] = NAN; return s;"
+    )
+    own = wrapped(tmp_path, {}, oscillator(), fmi2GetReal=body)
+    edit = set_attributes(VARIABLE.format("energy") + "/Real", max="1")
+    path = with_description(own, tmp_path / "b.fmu", edit)
+    assert found(path, bounds) == {(ADVICE, "bounds", "energy")}  # it is 2

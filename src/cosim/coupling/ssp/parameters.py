@@ -10,6 +10,7 @@ from casadi_models.units import conversion
 from cosim.coupling.connectors import transformed
 from cosim.coupling.ssp.package import Document
 from cosim.errors import CosimError, ParameterError, UnknownName
+from cosim.fmi.run.typed_values import RANGES, REALS
 from cosim.fmi.units import Measured
 from cosim.model.quantities import quantity
 
@@ -17,8 +18,6 @@ _SET, _MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _INTEGER = re.compile(r"[+-]?[0-9]+")
 _TRUTH = {"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}
-_REALS = ("Real", "Float64", "Float32")
-_INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 _TABLES = ("BooleanMappingTransformation", "IntegerMappingTransformation")
 
 
@@ -164,9 +163,9 @@ def _parameters(document: Document, chosen: ET.Element) -> Iterator[tuple[str, V
 
 def _number(document: Document, name: str, element: ET.Element) -> float | str:
     text = element.get("value", "")
-    if element.tag in _REALS:
+    if element.tag in REALS:
         return real(document, name, text)
-    if element.tag in _INTEGERS and _INTEGER.fullmatch(text.strip()):
+    if element.tag in RANGES and _INTEGER.fullmatch(text.strip()):
         return int(text) if len(text) < 100 else real(document, name, "")
     if element.tag in ("Enumeration", "String"):
         return text

@@ -12,7 +12,8 @@ from xml.etree import ElementTree as ET
 from casadi_models.units import Unit, conversion, parse_unit
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
-from cosim.fmi.check.parsed import BUILD, REAL, Described, Description, Unknown
+from cosim.fmi.check.parsed import BUILD, Described, Description, Unknown
+from cosim.fmi.run.typed_values import REALS
 from cosim.fmi.units import BASE_UNITS
 
 _ROUNDING = 1e-5  # of factors, as people write them
@@ -266,7 +267,7 @@ def _variable_findings(described: Description, variable: Described) -> Iterator[
             f"causality {kinds[0]}, variability {kinds[1]}, initial {variable.initial} is illegal"
         )
         yield RULES["causality"], fault
-    if variable.variability == "continuous" and variable.kind not in REAL:
+    if variable.variability == "continuous" and variable.kind not in REALS:
         yield RULES["variability"], f"a {variable.kind} cannot be continuous"
     required = variable.initial in ("exact", "approx") or variable.causality == "input"
     if required != ("start" in texts) and variable.kind not in ("Clock", "Binary"):
@@ -274,7 +275,7 @@ def _variable_findings(described: Description, variable: Described) -> Iterator[
             "the start value is missing" if required else "a calculated variable has a start value"
         )
         yield RULES["start"], fault
-    if variable.kind not in REAL:
+    if variable.kind not in REALS:
         return
     numbers = ("min", "max", "nominal", "start")
     number = {k: _finite(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
@@ -302,7 +303,7 @@ def _unit_of(described: Description, variable: Described) -> Iterator[tuple[Rule
         yield RULES["derivative"], "it is the derivative of nothing"
         return
     state = described.variables[variable.derivative_of]
-    if state is variable or state.kind not in REAL or state.variability != "continuous":
+    if state is variable or state.kind not in REALS or state.variability != "continuous":
         fault = f"'{state.name}', whose derivative it is, is not a continuous state"
         yield RULES["derivative"], fault
         return

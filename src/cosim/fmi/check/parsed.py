@@ -12,6 +12,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from cosim.fmi.archive import entry_content
+from cosim.fmi.run.typed_values import REALS
 
 BUILD = "sources/buildDescription.xml"
 _SECTIONS = {  # paths of their entries in the model structure of FMI 2.0 and 3.0
@@ -19,7 +20,6 @@ _SECTIONS = {  # paths of their entries in the model structure of FMI 2.0 and 3.
     "Derivatives": ("Derivatives/Unknown", "ContinuousStateDerivative"),
     "InitialUnknowns": ("InitialUnknowns/Unknown", "InitialUnknown"),
 }
-REAL = ("Real", "Float64", "Float32")
 
 
 class Described(NamedTuple):  # made faster than a dataclass: files have up to 400000 variables
@@ -143,7 +143,7 @@ def parse(content: bytes) -> Description:
         kind, state = facts.tag, facts.get("derivative")
         causality = element.get("causality", "local")
         fixed = major == "3" and causality.endswith("arameter")
-        usual = "fixed" if fixed else "continuous" if kind in REAL else "discrete"
+        usual = "fixed" if fixed else "continuous" if kind in REALS else "discrete"
         variability = element.get("variability", usual)
         own = facts.attrib
         texts = {**types[t], **own} if (t := own.get("declaredType")) in types else own

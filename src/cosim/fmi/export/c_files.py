@@ -9,7 +9,7 @@ import casadi as ca
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.invariants import SINGULAR_CONDITION
 from cosim.codegen.casadi_library import work_sizes
-from cosim.codegen.fmu.equations import bounded_limits, generated_code
+from cosim.codegen.fmu.equations import generated_code
 from cosim.codegen.fmu.solver import most_trials, of_fixed_steps
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
 from cosim.codegen.landmarks import landmarks
@@ -26,7 +26,6 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
     """Return `model.h`: sizes and names for compiling the runtime with the equations' code."""
     dae, options, step_size = plan.dae, plan.options, plan.step_size
     stages, order = of_fixed_steps(plan.solver)
-    bounds = bounded_limits(dae, plan.system)
     longest = min(options.max_step or inf, dae.experiment.stop_time / LEAST_STEPS)
     return f"""/* Generated from {dae.full_name}. */
 #ifndef MODEL_H
@@ -42,8 +41,8 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
 #define NC {plan.laws.c.numel()}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
-#define BOUNDED_LIMITS {len(bounds.relations)}
-#define LIMITS_OF_TIME {int(bounds.of_time)}
+#define BOUNDED_LIMITS {len(plan.bounds.relations)}
+#define LIMITS_OF_TIME {int(plan.bounds.of_time)}
 #define HAS_VALID {int(options.valid)}
 #define DEFAULT_TOLERANCE {options.tolerance!r}
 #define HAS_RANK {int(plan.detects_singularity)}
@@ -63,7 +62,7 @@ def variable_table(plan: Plan) -> str:
     """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
     limits = "".join(f"    {_literal(meaning)},\n" for _, meaning in plan.dae.limits)
     violations = "".join(f"    {_literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
-    bounds = bounded_limits(plan.dae, plan.system)
+    bounds = plan.bounds
     bounded, moving = (*bounds.relations, -1), (*bounds.moving, -1)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
     rows = "".join(f"    {{{', '.join(_fields(variable))}}},\n" for variable in numbers)

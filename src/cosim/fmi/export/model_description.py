@@ -12,14 +12,14 @@ from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
 from cosim.fmi.export.options import ABOUT
 from cosim.fmi.export.plan import Plan
-from cosim.fmi.export.variables import FmuVariable, Role, rate_unit
+from cosim.fmi.export.variables import FmuVariable, Role, units_of_rates
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
 
 
-def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
-    """Return the content of `modelDescription.xml`."""
+def model_description(plan: Plan, sources: Sequence[str]) -> ET.Element:
+    """Return what `modelDescription.xml` contains, with an empty GUID or token."""
     dae, variables, dialect = plan.dae, plan.variables, plan.dialect
     common = {
         "modelName": plan.name,
@@ -29,7 +29,7 @@ def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
         "generationTool": f"cosim-rigid {version('cosim-rigid')}",
         "variableNamingConvention": "structured",
     }
-    own = {"fmiVersion": dialect.version, dialect.token: guid}
+    own = {"fmiVersion": dialect.version, dialect.token: ""}
     if dialect.version == "2.0":
         own["numberOfEventIndicators"] = str(plan.indicators)
     root = ET.Element("fmiModelDescription", own | common)
@@ -51,7 +51,7 @@ def model_description(plan: Plan, sources: Sequence[str], guid: str) -> bytes:
     for reference, variable in enumerate(variables):
         listed.append(_element(reference, variable, dialect))
     root.append(model_structure(variables, plan.depends, dialect, plan.indicators))
-    return to_bytes(root)
+    return root
 
 
 def _type_definitions(variables: Sequence[FmuVariable], dialect: Dialect) -> ET.Element:
@@ -153,7 +153,7 @@ def unit_definitions(variables: Sequence[FmuVariable]) -> ET.Element:
         displays.setdefault(variable.unit, set())
         if variable.display_unit:
             displays[variable.unit].add(variable.display_unit)
-    rates = dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
+    rates = units_of_rates(variables)
     for name in sorted(displays):
         unit = rates.get(name) or UNITS[name]
         entry = ET.SubElement(element, "Unit", name=name)
@@ -232,7 +232,7 @@ def _interfaces(plan: Plan, sources: Sequence[str]) -> list[ET.Element]:
     ]
     if plan.step_size is not None and not second:
         elements[1].set("fixedInternalStepSize", shortest(plan.step_size))
-    if plan.modes and not second:
+    if plan.system and plan.system.relations and not second:
         elements[1].set("hasEventMode", "true")
     lacking = set[str]()
     if not plan.options.derivatives:
@@ -304,16 +304,12 @@ def _references(variables: Sequence[FmuVariable], role: Role) -> list[int]:
 
 def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
     """Return the derivatives, and the states and outputs whose start values are not exact."""
+    listed = (Role.STATE, Role.DERIVATIVE)
     return [
         i
         for i, variable in enumerate(variables)
-        if variable.role is Role.DERIVATIVE or _is_initial_unknown(variable)
+        if (variable.observed or variable.role in listed) and variable.start_kind is not Start.EXACT
     ]
-
-
-def _is_initial_unknown(variable: FmuVariable) -> bool:
-    shown = variable.observed or variable.role is Role.STATE
-    return shown and variable.start_kind is not Start.EXACT
 
 
 def _needs(

@@ -19,7 +19,7 @@ from cosim.fmi.check.check import check_fmu
 from cosim.fmi.export.build import binaries
 from cosim.fmi.export.c_files import equations_c, model_header, variable_table, whole_unit
 from cosim.fmi.export.documentation import documentation_page, pictures
-from cosim.fmi.export.model_description import build_description, model_description
+from cosim.fmi.export.model_description import build_description, model_description, to_bytes
 from cosim.fmi.export.options import FmuKeywords, FmuOptions
 from cosim.fmi.export.plan import Plan, planned
 from cosim.fmi.platforms import targets
@@ -106,15 +106,16 @@ def files_of(plan: Plan) -> dict[str, bytes]:
     """Return the content of a planned FMU by path, without binaries."""
     code = _model_code(plan)
     sources = ["fmu.c", *plan.embedded]
-    unsigned = model_description(plan, sources, guid="")
+    description = model_description(plan, sources)
     settings = repr((plan.step_size, plan.options.max_step)).encode()
-    guid = _guid_of(unsigned, *code.values(), *plan.runtime.values(), settings)
+    guid = _guid_of(to_bytes(description), *code.values(), *plan.runtime.values(), settings)
+    description.set(plan.dialect.token, guid)
     code["model.h"] = model_header(plan, guid, code["equations.c"].decode()).encode()
     code["buildDescription.xml"] = build_description(plan, sources)
     drawn = pictures(plan.dae, plan.options.fmi)
     return {
         **drawn,
-        "modelDescription.xml": model_description(plan, sources, guid),
+        "modelDescription.xml": to_bytes(description),
         **{f"documentation/licenses/{e.name}": e.read_bytes() for e in license_texts()},
         "documentation/index.html": documentation_page(plan, pictured=bool(drawn)).encode(),
         **{f"sources/{name}": content for name, content in {**plan.runtime, **code}.items()},

@@ -11,6 +11,7 @@ import casadi as ca
 
 from casadi_models.dae import Dae
 from casadi_models.dae.hybrid import Hybrid
+from casadi_models.dae.time_bounds import Enclosures
 from cosim.codegen.c_sources import runtime_sources, solver_sources
 from cosim.codegen.fmu.equations import (
     bounded_limits,
@@ -42,65 +43,44 @@ class Plan:
 
     Attributes:
         options: The options of the export.
+        dialect: What its version of FMI writes differently.
         name: C identifier of the FMU.
         dae: The model as exported: with the selected outputs, margins as outputs, modes as inputs.
         laws: Its equations, with constants for its parameters.
         system: Its relations, events and pulses; None if it has none.
+        bounds: Bounds of the margins of some limits.
+        indicators: Number of event indicators, which are its last outputs.
         variables: All variables; the position of each is its value reference.
         depends: Structural dependencies of the unknowns.
         solver: Name of the solver for co-simulation.
         dop853: Whether this is the runtime's own solver.
         step_size: Longest step of a solver with fixed steps, s; None for other solvers.
         detects_singularity: Whether it detects singular configurations.
+        watches_steps: Whether it needs a call after every step in model exchange.
+        updates_within_steps: Whether a communication step has points at which it calls the importer
+            back.
         functions: The CasADi functions that the runtime calls.
         embedded: C code of the external functions that the model calls, by file name.
     """
 
     options: FmuOptions
+    dialect: Dialect
     name: str
     dae: Dae
     laws: Laws
     system: Hybrid | None
+    bounds: Enclosures
+    indicators: int
     variables: tuple[FmuVariable, ...]
     depends: Dependencies
     solver: str
     dop853: bool
     step_size: float | None
     detects_singularity: bool
+    watches_steps: bool
+    updates_within_steps: bool
     functions: tuple[ca.Function, ...]
     embedded: Mapping[str, str]
-
-    @property
-    def dialect(self) -> Dialect:
-        """What its version of FMI writes differently."""
-        return DIALECTS[self.options.fmi]
-
-    @property
-    def modes(self) -> int:
-        """Number of relations that switch."""
-        return len(self.system.relations) if self.system else 0
-
-    @property
-    def indicators(self) -> int:
-        """Number of event indicators, which are its last outputs."""
-        return len(self.dae.limits) + (self.system.of_time.count(False) if self.system else 0)
-
-    @property
-    def watches_steps(self) -> bool:
-        """Whether it needs a call after every step in model exchange."""
-        moved = self.system is not None and any(self.system.of_input)
-        return self.detects_singularity or moved or self.bounds_limits
-
-    @property
-    def bounds_limits(self) -> bool:
-        """Whether bounds of the margins of some limits are known."""
-        return bool(bounded_limits(self.dae, self.system).relations)
-
-    @property
-    def updates_within_steps(self) -> bool:
-        """Whether a communication step has points at which it calls the importer back."""
-        by_solver = self.dop853 or self.step_size is not None
-        return by_solver or bool(self.system or self.dae.limits or self.dae.inputs)
 
     @cached_property
     def runtime(self) -> dict[str, bytes]:
@@ -169,7 +149,9 @@ PARTS = (
     ),
     Part(
         "a motion between two points of an importer",
-        lambda plan: plan.bounds_limits or bool(plan.system and plan.system.enclosures.relations),
+        lambda plan: bool(
+            plan.bounds.relations or (plan.system and plan.system.enclosures.relations)
+        ),
         ("looks.h", "cubic.h"),
     ),
     Part(
@@ -180,7 +162,7 @@ PARTS = (
     Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,
-        ("rank.c", "projection.h", "cubic.h", "ode.h"),
+        ("rank.c", "projection.h", "margins.h", "bounds.h", "cubic.h", "ode.h"),
     ),
 )
 
@@ -225,18 +207,27 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     depends = structural_dependencies(dae)
     if system is not None:
         depends = without_modes(depends, system)
+    watched = system.of_time.count(False) if system else 0
+    bounds, detects_singularity = bounded_limits(dae, system), has_rank(dae)
+    moved = system is not None and any(system.of_input)
+    dop853, fixed = uses_dop853(dae, solver), solver in FIXED_STEPS
     return Plan(
         options=options,
+        dialect=DIALECTS[options.fmi],
         name=name,
         dae=dae,
         laws=laws,
         system=system,
+        bounds=bounds,
+        indicators=len(dae.limits) + watched,
         variables=variables,
         depends=depends,
         solver=solver,
-        dop853=uses_dop853(dae, solver),
-        step_size=step_size if solver in FIXED_STEPS else None,
-        detects_singularity=has_rank(dae),
+        dop853=dop853,
+        step_size=step_size if fixed else None,
+        detects_singularity=detects_singularity,
+        watches_steps=detects_singularity or moved or bool(bounds.relations),
+        updates_within_steps=dop853 or fixed or bool(system or dae.limits or dae.inputs),
         functions=model_functions(laws, system, **wanted),
         embedded=embedded,
     )

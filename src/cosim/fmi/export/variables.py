@@ -14,12 +14,10 @@ from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.expressions import at_irregular_place
 from casadi_models.dae.hybrid import hybrid
 from casadi_models.units import UNITS, Unit, quotient_name
-from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.initialization import start_function
 from cosim.errors import UsageError
 from cosim.memo import cached_per_thread
-from cosim.model.troughs import resting
 from cosim.model.values import own_sizes
 
 VALID = "valid"
@@ -135,20 +133,18 @@ def _resting(dae: Dae) -> list[bool]:
     places = np.array(at_irregular_place(ca.horzcat(symbols, symbols**2), symbols))
     sizes = [a.numel() for a in (dae.x, dae.t, dae.z, dae.u)]
     x, t, z, u, p = np.split(places, np.cumsum(sizes))
+    laws = equations(dae)
+    moves = (np.array(laws(t, x, z, u, p)[0]) != 0).all(axis=1)
 
-    def rates(states: Vector) -> Vector:
-        return np.array(equations(dae)(t, states, z, u, p)[0])
+    def rests(i: int) -> bool:
+        at_zero = x.copy()
+        at_zero[i] = 0
+        if not moves[i] or np.array(laws(t, at_zero, z, u, p)[0][i, :] != 0).any():
+            return False
+        # what is 0 at two places may be a table or a pulse that is not 0 at others
+        return bool(ca.substitute(dae.ode[i], dae.x[i], 0).is_zero())
 
-    moves = (rates(x) != 0).all(axis=1)
-    alone = np.eye(len(x), dtype=bool) & moves
-    rest = [bool(resting(rates, x, group).any()) for group in alone]
-    # what is 0 at two places may be a table or a pulse that is not 0 at others
-    return [rests and _is_zero_at_zero(dae, i) for i, rests in enumerate(rest)]
-
-
-def _is_zero_at_zero(dae: Dae, state: int) -> bool:
-    """Return whether the formula of a derivative is 0 where its state is."""
-    return bool(ca.substitute(dae.ode[state], dae.x[state], 0).is_zero())
+    return [rests(i) for i in range(len(dae.states))]
 
 
 def _settled(dae: Dae) -> list[float | None]:
@@ -167,6 +163,11 @@ def _fmu_variable(
     known = FmuVariable.__dataclass_fields__
     facts = {name: fact for name, fact in vars(variable).items() if name in known}
     return FmuVariable(role=role, observed=variable.name in observed, **(facts | changes))
+
+
+def units_of_rates(variables: Sequence[FmuVariable]) -> dict[str, Unit]:
+    """Return the units of the derivatives of all states by name."""
+    return dict(rate_unit(v.unit) for v in variables if v.role is Role.STATE)
 
 
 def rate_unit(unit: str) -> tuple[str, Unit]:

@@ -139,18 +139,16 @@ class Access:
 
     Args:
         instance: In a mode in which the variables have values.
-        types: Of each variable, in the names of the functions, e.g. "Float64".
-        variables: Scalars and elements.
+        layouts: Of scalars and elements by the type in the names of the functions, e.g. "Float64",
+            with their places among all variables.
     """
 
-    def __init__(self, instance: Any, types: Sequence[str], variables: Sequence[Any]) -> None:
+    def __init__(self, instance: Any, layouts: Sequence[tuple[str, Layout, list[int]]]) -> None:
         self._groups = []
-        for kind in dict.fromkeys(types):
-            columns = [i for i, own in enumerate(types) if own == kind]
-            layout = Layout.of([variables[i] for i in columns])
+        for kind, layout, columns in layouts:
             functions = getattr(instance, f"get{kind}"), getattr(instance, f"set{kind}")
             self._groups.append((*functions, layout, columns, kind == "Boolean"))
-        self._width = len(variables)
+        self._width = sum(len(columns) for _, _, columns in layouts)
         self._buffers: list[list[Any]] | None = None
 
     def get(self) -> list[Any]:

@@ -12,7 +12,8 @@ from cosim.codegen.c_fields import fields
 from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Layout
 from cosim.fmi.run.description import is_second
-from cosim.fmi.run.instance import getter_name
+from cosim.fmi.run.instance import layouts_of
+from cosim.fmi.run.request import nominals_of
 
 # Kinds of variables, in the order of the enumeration in fmu/master/recording.h
 KINDS: dict[str, Any] = {
@@ -107,18 +108,13 @@ class Recorded:
 
     def __init__(self, instance: Any, description: Any, variables: Sequence[Any]) -> None:
         second = is_second(description)
-        found: dict[str, list[int]] = {}
-        for place, variable in enumerate(variables):
-            found.setdefault(getter_name(variable, description), []).append(place)
         self._held: list[Any] = []
-        layouts = {
-            getter: Layout.of([variables[i] for i in places]) for getter, places in found.items()
-        }
-        groups = [self._group(instance, *item, second) for item in layouts.items()]
+        groups, columns = list[_Group](), list[Vector]()
+        for getter, layout, places in layouts_of(variables, description):
+            groups.append(self._group(instance, getter, layout, second))
+            columns.append(np.full(layout.values, _NO_COLUMN))
+            columns[-1][layout.places] = places
         self._groups = (_Group * len(groups))(*groups)
-        columns = [np.full(layout.values, _NO_COLUMN) for layout in layouts.values()]
-        for own, places, layout in zip(columns, found.values(), layouts.values(), strict=True):
-            own[layout.places] = places
         self._columns = np.concatenate([[], *columns]).astype(np.int64)
         self.structure = Recording(
             len(groups), len(variables), self._groups, self._columns.ctypes.data
@@ -170,6 +166,31 @@ class Calls:
         structure = self._recorded[key].structure
         structure.rows = rows.ctypes.data
         return structure
+
+
+def exchange_run(
+    instance: Any, description: Any, calls: Calls, shares: Vector | float = 1.0, **facts: Any
+) -> tuple[Run, Vector]:
+    """Return a run in model exchange, and the nominal values, which must live as long as it.
+
+    Args:
+        instance: Of fmpy, past its initialization.
+        description: Of fmpy.
+        calls: Of the instance.
+        shares: Of the absolute tolerance of each state, (states,).
+        facts: More fields of the run.
+    """
+    n = description.numberOfContinuousStates
+    nominals = np.append(nominals_of(instance, n) * shares, 1.0)
+    run = Run(
+        functions=ctypes.pointer(calls.functions),
+        states=n,
+        indicators=description.numberOfEventIndicators,
+        needs_completed_step=description.modelExchange.needsCompletedIntegratorStep,
+        nominals=nominals.ctypes.data,
+        **facts,
+    )
+    return run, nominals
 
 
 def addresses_of(

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.errors import FmuError
-from cosim.fmi.run.arrays import Access, Element
+from cosim.fmi.run.arrays import Access, Element, Layout
 from cosim.fmi.run.description import Interface, by_name, is_second
 from cosim.fmi.run.typed_values import reject_beyond_bounds
 from cosim.text import Violation, sentence
@@ -328,16 +328,19 @@ def _staying_class() -> type:
     return type("Staying", (_FMU,), {"__init__": load})
 
 
-def getter_name(variable: Any, description: Any) -> str:
-    """Return the type in the name of the function that gets a variable's value."""
-    if variable.type == "Enumeration":
-        return "Integer" if is_second(description) else "Int64"
-    return str(variable.type)
+def layouts_of(variables: Sequence[Any], description: Any) -> list[tuple[str, Layout, list[int]]]:
+    """Return variables by the type in the name of their getter: its layout, and their places."""
+    enumeration = "Integer" if is_second(description) else "Int64"
+    found: dict[str, list[int]] = {}
+    for place, variable in enumerate(variables):
+        kind = enumeration if variable.type == "Enumeration" else str(variable.type)
+        found.setdefault(kind, []).append(place)
+    return [(kind, Layout.of([variables[i] for i in own]), own) for kind, own in found.items()]
 
 
 def access_to(variables: Sequence[Any], instance: Any, description: Any) -> Access:
     """Return what gets and sets variables of an instance."""
-    return Access(instance, [getter_name(v, description) for v in variables], variables)
+    return Access(instance, layouts_of(variables, description))
 
 
 def may_be_set(variable: Any) -> bool:

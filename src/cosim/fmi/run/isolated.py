@@ -3,18 +3,18 @@
 The child has the rights of its user: this guards against mistakes, not against malice.
 """
 
-import json
 import os
 import pickle
 import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim import errors
-from cosim.errors import CosimError, FmuError, UsageError
+from cosim.errors import CosimError, FmuError
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.child import be_confined, leave, own_folder, run_confined
 from cosim.host.last_call import calls_noted_in, last_called
@@ -24,9 +24,12 @@ from cosim.model.values import time_limit_from
 from cosim.text import described
 from cosim.trajectory import Trajectory
 
-_REQUEST, _ANSWER, _VALUES = "request.pickle", "answer.json", "values.npz"
-_RESULT = "result.pickle"  # other than a Trajectory
-_BROKEN = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, EOFError)
+_REQUEST, _ANSWER = "request.pickle", "answer.pickle"
+# what reading an answer raises that is missing or cut off
+_BROKEN = (
+    *(OSError, EOFError, ValueError, LookupError, TypeError, AttributeError),
+    *(ImportError, RecursionError, pickle.UnpicklingError),
+)
 
 
 def run_apart(
@@ -69,27 +72,26 @@ def run_apart(
         if code is None:
             raise FmuError(f"{path}: {what} did not end within {limit:g} s and was stopped")
         try:
-            return _read_answer(folder, place, str(path))
-        except (*_BROKEN, pickle.UnpicklingError) as error:
+            answer = _Answer(*pickle.loads((folder / _ANSWER).read_bytes()))
+        except _BROKEN as error:
             raise FmuError(
                 f"{path}: {what} {how_it_ended(code)} while it ran; do not use it"
             ) from error
+    result = answer.result
+    if isinstance(result, Trajectory):
+        result = replace(result)  # whose arrays are read-only
+    if not answer.error:
+        return result
+    more = {} if result is None else {"partial": result}
+    raise getattr(errors, answer.error)(answer.message.replace(place, str(path)), **more)
 
 
-def _read_answer(folder: Path, place: str, name: str) -> Any:
-    answer = json.loads((folder / _ANSWER).read_text())
-    if "error" in answer:
-        kind = getattr(errors, answer["error"])
-        message = answer["message"].replace(place, name)
-        if answer["partial"]:
-            raise kind(message, partial=Trajectory.from_npz(folder / _VALUES))
-        raise kind(message)
-    if (folder / _RESULT).exists():
-        return pickle.loads((folder / _RESULT).read_bytes())
-    try:
-        return Trajectory.from_npz(folder / _VALUES)
-    except UsageError as error:
-        raise ValueError(str(error)) from error
+class _Answer(NamedTuple):
+    """What a child has computed: its result, or the name of an error with what is left of a run."""
+
+    result: Any
+    error: str = ""
+    message: str = ""
 
 
 def how_it_ended(code: int) -> str:
@@ -111,26 +113,18 @@ def _main(folder: Path) -> None:
     function, path, options = pickle.loads((folder / _REQUEST).read_bytes())
     try:
         with calls_noted_in(folder):
-            run = function(path, **options)
+            answer = _Answer(function(path, **options))
     except CosimError as error:
         partial = getattr(error, "partial", None)
-        if kept := isinstance(partial, Trajectory):
-            partial.to_npz(folder / _VALUES)
+        kept = partial if isinstance(partial, Trajectory) else None
         kind = next(one for one in type(error).__mro__ if one.__module__ == errors.__name__)
-        answer = {"error": kind.__name__, "message": str(error), "partial": kept}
+        answer = _Answer(kept, kind.__name__, str(error))
     except MemoryError:
         reason = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
-        answer = {"error": "FmuError", "message": reason, "partial": False}
+        answer = _Answer(None, "FmuError", reason)
     except BaseException as error:
-        reason = f"{path}: it cannot be run: {described(error)}"
-        answer = {"error": "FmuError", "message": reason, "partial": False}
-    else:
-        if isinstance(run, Trajectory):
-            run.to_npz(folder / _VALUES)
-        else:
-            (folder / _RESULT).write_bytes(pickle.dumps(run))
-        answer = {}
-    (folder / _ANSWER).write_text(json.dumps(answer))
+        answer = _Answer(None, "FmuError", f"{path}: it cannot be run: {described(error)}")
+    (folder / _ANSWER).write_bytes(pickle.dumps(tuple(answer)))
     leave()
 
 

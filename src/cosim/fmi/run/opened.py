@@ -14,14 +14,13 @@ from weakref import finalize
 
 import numpy as np
 
-from cosim.arrays import Vector
 from cosim.codegen.c_sources import master_source
 from cosim.codegen.compiler import cached_library
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
-from cosim.fmi.run.c_structures import Calls, Ending, Run, reject_failure
+from cosim.fmi.run.c_structures import Calls, Ending, Run, exchange_run, reject_failure
 from cosim.fmi.run.description import Interface, asks_for_inputs, choose_interface, read_description
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
@@ -32,7 +31,7 @@ from cosim.fmi.run.instance import (
     why_it_ended,
 )
 from cosim.fmi.run.python_master import Clock, run_in_python
-from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state, nominals_of
+from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
@@ -75,7 +74,7 @@ class OpenedFmu:
         self.callback: dict[str, Any] = {}  # of FMI 3; see `instantiated`
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
-        self._master: CompiledMaster | None = None
+        self._calls: Calls | None = None
         self._is_spoilt = False  # whether nothing of the library may be called any more
 
     def contains(self, name: str) -> bool:
@@ -165,9 +164,9 @@ class OpenedFmu:
     def _driven(self, instance: Any, request: FmuRequest, master: Master) -> MasterRun:
         if master is Master.FMPY:
             return run_in_python(instance, request)
-        if self._master is None:
-            self._master = CompiledMaster(instance, self.description)
-        return self._master.run(request)
+        if self._calls is None:
+            self._calls = Calls(instance, self.description)
+        return _run_compiled(instance, request, self._calls)
 
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
         """Return an instance, fresh or reset, and a function that adds its log to an error.
@@ -197,7 +196,7 @@ class OpenedFmu:
     def _drop(self) -> None:
         self._is_spoilt |= bool(self._instance and self._instance[0].fatal.value)
         self._live.close()
-        self._instance = self._master = None
+        self._instance = self._calls = None
 
 
 def _reject_not_finite(run: MasterRun, request: FmuRequest, lost: str) -> None:
@@ -231,85 +230,64 @@ def _opened(path: str, interface: str | None, _changed: tuple[int, ...]) -> Open
     return found
 
 
-class CompiledMaster:
-    """Drives an FMU: model exchange by `dop853`, co-simulation step by step.
+def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun:
+    """Initialize an FMU and run it by compiled code; it is not terminated yet.
+
+    Model exchange is integrated by `dop853`, co-simulation is stepped.
 
     Raises:
+        FmuError: A call failed, or the FMU stopped without ending the run.
         MissingTool: There is no compiler.
     """
-
-    def __init__(self, instance: Any, description: Any) -> None:
-        self._instance = instance
-        self._calls = Calls(instance, description)
-
-    def run(self, request: FmuRequest) -> MasterRun:
-        """Initialize the FMU and run it; it is not terminated yet.
-
-        Raises:
-            FmuError: A call failed, or the FMU stopped without ending the run.
-        """
-        instance, description = self._instance, request.description
-        exchange = request.interface is Interface.MODEL_EXCHANGE
-        library = _library(
-            description.numberOfContinuousStates if exchange else 0,
-            description.numberOfEventIndicators if exchange else 0,
-            exchange,
-        )
-        initialize(instance, description, request.values, **request.experiment)
-        points = request.points
-        rows = np.empty((len(points), len(request.recorded)))
-        recording = self._calls.recording(request.recorded, rows)
-        run = Run(
-            functions=ctypes.pointer(self._calls.functions),
-            recording=ctypes.pointer(recording),
-            times=points.ctypes.data,
-            points=len(points),
-            start=request.start,
-            stop=points[-1] if exchange else request.stop,
-            interval=request.interval,
-            any_step=exchange or description.coSimulation.canHandleVariableCommunicationStepSize,
-        )
-        deviations: Deviations | None = None
-        if exchange:
-            nominals = _prepare_exchange(instance, request, run)
-            run.nominals = nominals.ctypes.data
-            deviations = Deviations(instance, request, Clock(instance, request))
-            deviations.note(request.start)
-        with interruptible(library) as interrupts:
-            library.run_fmu(ctypes.byref(run))
-        reject_failure(run, interrupts, request.stop)
-        if deviations and not run.events:
-            recorded = [variable.name for variable in request.recorded]
-            if {*deviations.names} <= {*recorded}:
-                places = [recorded.index(name) for name in deviations.names]
-                inner = slice(1, run.rows - 1)
-                deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
-            deviations.note(run.time)
-            deviations.judge(run.steps)
-        rows.setflags(write=False)
-        stats = {"steps": run.steps, "events": run.events}
-        if run.how == Ending.ENDED_BY_FMU:
-            points, rows = np.append(points[: run.rows - 1], run.time), rows[: run.rows]
-            stats["stop_time"] = run.time
-        if exchange:
-            stats["rhs_calls"] = run.calls
-        return MasterRun(points, rows, stats, deviations.found if deviations else None)
-
-
-def _prepare_exchange(instance: Any, request: FmuRequest, run: Run) -> Vector:
-    """Fill in what model exchange needs, but for the nominal values that are returned."""
-    description = request.description
-    next_event = enter_continuous_time(instance)
-    run.states = n = description.numberOfContinuousStates
-    run.indicators = description.numberOfEventIndicators
-    run.needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
-    run.next_defined = isfinite(next_event)
-    run.next_event = next_event if isfinite(next_event) else 0.0
-    run.relative_tolerance = request.relative_tolerance
-    nominals = np.append(nominals_of(instance, n), 1.0)
-    if request.closer:
-        nominals[:n] *= request.closer.shares
-    return nominals
+    description, points = request.description, request.points
+    exchange = request.interface is Interface.MODEL_EXCHANGE
+    library = _library(
+        description.numberOfContinuousStates if exchange else 0,
+        description.numberOfEventIndicators if exchange else 0,
+        exchange,
+    )
+    initialize(instance, description, request.values, **request.experiment)
+    rows = np.empty((len(points), len(request.recorded)))
+    recording = calls.recording(request.recorded, rows)
+    facts: dict[str, Any] = {
+        "recording": ctypes.pointer(recording),
+        "times": points.ctypes.data,
+        "points": len(points),
+        "start": request.start,
+        "interval": request.interval,
+    }
+    deviations: Deviations | None = None
+    if exchange:
+        next_event = enter_continuous_time(instance)
+        facts |= {"stop": points[-1], "any_step": True, "next_defined": isfinite(next_event)}
+        facts |= {"next_event": next_event, "relative_tolerance": request.relative_tolerance}
+        shares = request.closer.shares if request.closer else 1.0
+        run, _nominals = exchange_run(instance, description, calls, shares, **facts)
+        deviations = Deviations(instance, request, Clock(instance, request))
+        deviations.note(request.start)
+    else:
+        any_step = description.coSimulation.canHandleVariableCommunicationStepSize
+        facts |= {"stop": request.stop, "any_step": any_step}
+        run = Run(functions=ctypes.pointer(calls.functions), **facts)
+    with interruptible(library) as interrupts:
+        library.run_fmu(ctypes.byref(run))
+    reject_failure(run, interrupts, request.stop)
+    if deviations and not run.events:
+        recorded = [variable.name for variable in request.recorded]
+        if {*deviations.names} <= {*recorded}:
+            places = [recorded.index(name) for name in deviations.names]
+            inner = slice(1, run.rows - 1)
+            deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
+        deviations.note(run.time)
+        deviations.judge(run.steps)
+    rows.setflags(write=False)
+    stats = {"steps": run.steps, "events": run.events}
+    if run.how == Ending.ENDED_BY_FMU:
+        points, rows = np.append(points[: run.rows - 1], run.time), rows[: run.rows]
+        stats["stop_time"] = run.time
+    if exchange:
+        stats["rhs_calls"] = run.calls
+    return MasterRun(points, rows, stats, deviations.found if deviations else None)
 
 
 @cached_per_thread(8)
@@ -319,7 +297,4 @@ def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
         sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
         coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
         text = sizes + master_source("model_exchange.h") + coefficients
-    library = ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))
-    library.run_fmu.argtypes = [ctypes.POINTER(Run)]
-    library.run_fmu.restype = None
-    return library
+    return ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))

@@ -162,6 +162,15 @@ class Bench:
         with instantiated(self.folder, self.fmpy, kind, self.name, **callback) as (instance, _):
             yield Session(self, kind, instance)
 
+    @contextmanager
+    def started(
+        self, kind: str, start_time: float | None = None, **callback: Any
+    ) -> Iterator["Session"]:
+        """Yield an instance that is initialized; see `session` and `Session.start`."""
+        with self.session(kind, **callback) as session:
+            session.start(start_time=start_time)
+            yield session
+
     def run(
         self,
         kind: Interface,
@@ -236,8 +245,7 @@ class Bench:
         """Whether it may have events: what co-simulation alone never denies."""
         if "ModelExchange" not in self.described.interfaces or self.fmpy.numberOfEventIndicators:
             return True
-        with self.session("ModelExchange") as session:
-            session.start()
+        with self.started("ModelExchange") as session:
             return session.next_event < self.start + self.span
 
 

@@ -158,8 +158,7 @@ def _matrices(
     scale = np.array([known.variable.nominal for known in knowns])
     directional = offers_directional(bench, kind)
     rng = np.random.default_rng(0)
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         at = session.values([known.variable for known in knowns])
         yield _matrix(session, unknowns, knowns, at, directional=directional) * scale / own[:, None]
     with suppress(Exception), bench.session(kind) as session:  # the FMU may reject a point
@@ -216,8 +215,7 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
     unknowns = [rate for _, rate in bench.states()]
     unknowns += bench.reals("output", "continuous")
     knowns = [known for known in knowns_of(bench) if known.required]
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         start = session.values([known.variable for known in knowns])
         findings = list(_compared(session, unknowns, knowns, start))
         rng = np.random.default_rng(0)
@@ -231,8 +229,7 @@ def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
                 findings = findings or list(_compared(session, unknowns, knowns, at))
         yield from findings
     tunable = [known for known in knowns_of(bench) if not known.required]
-    with suppress(Exception), bench.session(kind) as session:  # it need not provide these
-        session.start()
+    with suppress(Exception), bench.started(kind) as session:  # it need not provide these
         at = session.values([known.variable for known in tunable])
         findings = list(_compared(session, unknowns, tunable, at))
         yield from findings
@@ -323,8 +320,7 @@ def slopes(bench: Bench, kind: str) -> Iterator[Finding]:
     if offered == "0" or not outputs or not variable:
         raise Skipped("it offers no derivatives of outputs")
     size = _PART * bench.step_size(kind)
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         list(session.steps(4 * size, 5))
         instance = session.instance
         get = instance.getOutputDerivatives

@@ -126,8 +126,7 @@ class _Course:
     def co_simulated(self, parts: int = 1) -> Vector:
         """Return the outputs in co-simulation, (steps, outputs), each step in equal parts."""
         rows = []
-        with self.bench.session("CoSimulation") as session:
-            session.start()
+        with self.bench.started("CoSimulation") as session:
             start, rise = self._line(session)
             slots = [int(v.reference) for v in self.inputs]
             for i in range(_STEPS * parts):
@@ -148,8 +147,7 @@ class _Course:
         """Return the outputs in model exchange, each step in equal parts of a simple method."""
         rows, h = [], self.size / parts
         states, rates = zip(*self.bench.states(), strict=True)
-        with self.bench.session("ModelExchange") as session:
-            session.start()
+        with self.bench.started("ModelExchange") as session:
             begin = self.bench.start
             if session.next_event < begin + _STEPS * self.size:
                 raise Skipped("it has time events, which this trial does not locate")

@@ -86,8 +86,7 @@ def _rows(
     """
     size = min(bench.step_size("CoSimulation"), bench.span / (_LONG + 1) / _SHORT) * _SHORT
     rows = []
-    with bench.session("CoSimulation") as session:
-        session.start()
+    with bench.started("CoSimulation") as session:
         [begin] = session.values([variable])
         step = (altered(variable, begin, rise) - begin) / _LONG
         for i in range(_LONG * parts):

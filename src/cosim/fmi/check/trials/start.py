@@ -20,8 +20,7 @@ _ROUNDING = 1e-6  # of a time
 
 def start(bench: Bench, kind: str) -> Iterator[Finding]:
     """It instantiates, initializes, and its outputs are finite then."""
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         outputs = bench.reals("output")
         bad = ~np.isfinite(session.values(outputs))
         if bad.any():
@@ -81,8 +80,7 @@ def time(bench: Bench, kind: str) -> Iterator[Finding]:
     clocks = bench.reals("independent")
     if not clocks:
         raise Skipped("it has no variable for the time")
-    with bench.session(kind) as session:
-        session.start(start_time=bench.start + bench.step_size(kind))
+    with bench.started(kind, bench.start + bench.step_size(kind)) as session:
         if kind == "CoSimulation":
             variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
             if not list(session.steps(_WHOLE if variable else bench.step_size(kind), 1)):
@@ -102,8 +100,7 @@ def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
     if not parameters:
         raise Skipped("it has no fixed real parameter")
     for parameter in parameters[:MOST_NAMES]:  # a rejected call may end the instance
-        with bench.session(kind) as session:
-            session.start()
+        with bench.started(kind) as session:
             (value,) = session.values([parameter])
             with suppress(Exception):
                 session.put(parameter, value)

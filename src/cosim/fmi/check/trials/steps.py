@@ -10,6 +10,7 @@ from itertools import islice
 from math import isclose
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
@@ -46,8 +47,7 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     _needs_free_steps(bench, kind)
     end, made, looked = monotonic() + _FOR_STEPS * bench.timeout, 0, 0
     stop, outputs, used = bench.experiment("stopTime"), bench.reals("output"), [memory_in_use()]
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         try:
             for made, time in enumerate(session.steps(SIZE, MOST_MADE), start=1):
                 if not np.isfinite(session.values(outputs)).all():
@@ -112,8 +112,7 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
 def _own_steps_fail(bench: Bench, kind: str, until: float) -> bool:
     """Return whether steps of the FMU's own size fail to reach a time as well."""
     size = bench.step_size(kind)
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         try:
             for i in range(int((until - bench.start) / size) + 1):
                 end = bench.start + (i + 1) * size
@@ -179,8 +178,7 @@ def _leaking_calls(bench: Bench, kind: str, seconds: float) -> Iterator[Finding]
     inputs, states = bench.reals("input", "continuous"), bench.reals("output")
     with suppress(Skipped):
         states = [state for state, _ in bench.states()]
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         instance, values = session.instance, session.values(inputs)
 
         def store() -> None:
@@ -216,8 +214,7 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
     need_model_exchange(kind)
     states, rates = zip(*bench.states(), strict=True)
     rule = TRIAL_RULES["exchange"]
-    with bench.session(kind) as session:
-        session.start()
+    with bench.started(kind) as session:
         if session.next_event < bench.start:
             yield rule.at(kind, f"its next event is at {session.next_event:.6g} s, in the past")
         nominals = session.all_of("getNominalsOfContinuousStates", len(states))
@@ -308,15 +305,14 @@ def _updates(bench: Bench, kind: str) -> Iterator[Finding]:
     """Steps of FMI 3.0 call the importer back, at times within them."""
     times = list[float]()
     names = [int(v.reference) for v in bench.reals("input", "continuous")]
-    callback = {
+    callback: dict[str, Any] = {
         "intermediateUpdate": lambda _environment, time, *_: times.append(time),
         "requiredIntermediateVariables": names,
     }
     size, longer = bench.output_interval(kind), 1
     if bench.offers(kind, "canHandleVariableCommunicationStepSize"):
         longer = 2  # than those of the solver inside
-    with bench.session(kind, **callback) as session:
-        session.start()
+    with bench.started(kind, **callback) as session:
         begin = session.time
         for _ in range(_MOST_WITHOUT_UPDATE):
             if times or session.time + size > bench.start + bench.span:

@@ -54,8 +54,7 @@ class _Switching:
         bench, rows = self.bench, list[Any]()
         states, rates = zip(*bench.states(), strict=True)
         indicators = bench.fmpy.numberOfEventIndicators or 0
-        with bench.session("ModelExchange") as session:
-            session.start()
+        with bench.started("ModelExchange") as session:
             instance, next_event = session.instance, session.next_event
             recorded = self.access(instance)
 
@@ -98,8 +97,7 @@ class _Switching:
         bench, rows = self.bench, list[Any]()
         kind = Interface.CO_SIMULATION
         beyond = bench.internal_step(kind) or _ROUNDING * size  # which a step may end late
-        with bench.session(kind, eventModeUsed=True, earlyReturnAllowed=True) as session:
-            session.start()
+        with bench.started(kind, eventModeUsed=True, earlyReturnAllowed=True) as session:
             instance, time, events = session.instance, session.time, 0
             update_discrete_states(instance)
             instance.enterStepMode()

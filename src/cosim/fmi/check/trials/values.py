@@ -192,8 +192,7 @@ def _set_in_a_run(bench: Bench, kind: str) -> Iterator[Finding]:
     """Set tunable parameters: in model exchange in event mode, in co-simulation between steps."""
     tunable = bench.reals("parameter", "tunable")
     for parameter in tunable[:MOST_NAMES]:  # a rejected call may end the instance
-        with bench.session(kind) as session:
-            session.start()
+        with bench.started(kind) as session:
             if kind == Interface.MODEL_EXCHANGE:
                 session.instance.enterEventMode()
             (value,) = session.values([parameter])
