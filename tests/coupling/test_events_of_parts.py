@@ -472,6 +472,13 @@ def test_a_sampled_file_of_fmi_2_steps_to_its_samples(tmp_path):
         assert error <= run.stats["error_estimate"] <= accuracy
 
 
+def test_a_sample_that_rounding_puts_beside_a_macro_step_ends_it():
+    """The third one is at 0.3 s, and 3 times 0.1 s is 0.30000000000000004 s."""
+    parts, wires = sampled()
+    run = cosim.couple(parts, wires).simulate(macro_step=0.1, stop_time=0.4)
+    assert run.stats["macro_steps"] == 4  # 5 before, one of 6e-17 s
+
+
 def timer(name, level, rate):
     """A relay that charges and discharges: two events in a macro step of 0.5 s."""
     model = cosim.Model(name, stop_time=2.0, output_interval=0.1)
