@@ -293,6 +293,18 @@ def test_fitted_model_starts_with_the_fitted_values():
     assert found.compare(bound=0.2).agrees
 
 
+def test_error_of_a_temperature_is_shown_as_a_difference():
+    """Of the mean of n temperatures, shown in degC: its error in K is that in degC."""
+    model = cosim.Model("still", stop_time=2.0)
+    warmth = model.state("warmth", "K", 293.15, "warmth", display_unit="degC")
+    model.derivative(warmth, 0 * warmth)
+    kelvin = 293.15 + np.random.default_rng(0).normal(0, 0.1, len(TIMES))
+    measured = Trajectory("still", TIMES, (Column("warmth", "K"),), kelvin[:, None])
+    (row,) = fit(model.freeze(), measured, {"warmth": 290.0}).rows()
+    assert float(row["value"]) == pytest.approx(kelvin.mean() - 273.15, abs=1e-4)
+    assert row["error"] == pytest.approx(kelvin.std(ddof=1) / np.sqrt(len(TIMES)), rel=1e-6)
+
+
 @pytest.mark.slow
 def test_fmu_is_fitted_by_finite_differences(tmp_path):
     path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")

@@ -169,8 +169,8 @@ class Fit:
         found = []
         for column, value in zip(self.columns, self.x, strict=True):
             low, high = self.intervals[column.name]
-            numbers = np.array([value, self.errors[column.name], low, high])
-            shown, error, low, high = (float(number) for number in column.shown(numbers))
+            shown, low, high = map(float, column.shown(np.array([value, low, high])))
+            error = float(column.shown(np.array(self.errors[column.name]), difference=True))
             known = not np.isnan(error)  # a value at its bound has no error
             found.append(
                 {
