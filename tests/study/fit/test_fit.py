@@ -419,6 +419,15 @@ def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
         found.write_scene(tmp_path / "third.toml")
 
 
+@pytest.mark.parametrize("speed", [np.float64(50.0), np.int64(50)])
+def test_scene_holds_start_values_of_any_type(tmp_path, speed):
+    measured = cosim.simulate("crank_shaft", stop_time=1, outputs=["phi"])
+    found = fit("crank_shaft", measured, {"alpha": (1.0, 50.0)}, start_values={"omega": speed})
+    found.write_scene(tmp_path / "own.toml")
+    values = cosim.read_scene(tmp_path / "own.toml").request.values
+    assert values == pytest.approx({"alpha": 10.0, "omega": 50.0}, rel=1e-6)
+
+
 def test_command_draws_measurements_over_a_run(tmp_path):
     data, picture = tmp_path / "d.csv", tmp_path / "d.png"
     data.write_text("time;angle\n0;0\n0,5;25\n")

@@ -152,7 +152,7 @@ class Fit:
         for section, belongs in (("parameters", False), ("start", True)):
             chosen = {name: v for name, v in self.settled.items() if (name in states) == belongs}
             if chosen:
-                lines += ["", f"[{section}]", *(f"{n} = {v!r}" for n, v in chosen.items())]
+                lines += ["", f"[{section}]", *(f"{n} = {float(v)!r}" for n, v in chosen.items())]
         return "\n".join(lines) + "\n"
 
     def write_scene(self, target: str | os.PathLike[str], model: str = "") -> None:
