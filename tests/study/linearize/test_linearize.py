@@ -108,6 +108,18 @@ def test_linearization_at_a_time_uses_the_state_of_the_run():
     assert linear.steadiness.startswith("not steady")
 
 
+def test_time_after_the_end_of_a_run_is_rejected():
+    model = Model("falling")
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1 + 0 * x)
+    model.output("y", "m", x**2, "square")
+    model.stop(x > 0.5, "x is large")
+    dae = model.freeze()
+    assert linearize(dae, at=0.25).C[0, 0] == pytest.approx(0.5, rel=1e-9)
+    with pytest.raises(ParameterError, match=r"at = 1 s is after .* at 0.5 s, where x is large"):
+        linearize(dae, at=1.0)
+
+
 def test_cyclic_states_influence_only_each_other():
     dae = cosim.load("bicycle/independent")
     names = [dae.states[i].name for i in without_influence(influence(dae))]

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
@@ -75,7 +75,8 @@ def linearize(
         UnknownName: A name does not exist.
         UsageError: An FMU can be linearized at its initial state only, and not along a parameter;
             or `along` does not name one variable.
-        ParameterError: The values along a parameter do not increase or decrease.
+        ParameterError: The values along a parameter do not increase or decrease; or the run ends
+            before the time.
         InitialConditionError: The initial values contradict the constraints, or there is no
             equilibrium near them; or an eigenvalue crosses the imaginary axis at an unsteady state.
         CosimError: See `simulate` and `linearized_fmu`.
@@ -142,7 +143,13 @@ def _linearized(
             relative_tolerance=relative_tolerance,
             outputs=states,
         )
-        x, time, point = run(request).values[-1], at, f"{at:g} s of a run"
+        found = run(request)
+        if found.time[-1] < at:
+            raise ParameterError(
+                f"{dae.full_name}: at = {at:g} s is after the end of the run at "
+                f"{found.time[-1]:g} s, where {found.stats['stop']}; choose an earlier time"
+            )
+        x, time, point = found.values[-1], at, f"{at:g} s of a run"
     else:
         x, time, point = consistent_start(dae, 0.0, values), 0.0, "its initial state"
     over = None
