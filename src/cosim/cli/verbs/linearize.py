@@ -36,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         request = scene_from(args).request
         model, start, outputs = request.dae, dict(request.values), request.outputs
-    evaluate = partial(run_apart, function=linearize) if foreign else linearize
+    evaluate: Any = partial(run_apart, function=linearize)
+    if not foreign:
+        evaluate = partial(linearize, inputs=request.inputs)
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
         points = [*numbers_in("--at", args.at)]
