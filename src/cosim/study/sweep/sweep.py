@@ -160,6 +160,7 @@ class SweepResult:
         """
         self._need_trajectories()
         whole("sweep", "run", i, -len(self.states), len(self.states) - 1)
+        i %= len(self)
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
