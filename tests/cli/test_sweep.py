@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 
 import pytest
 
@@ -44,6 +45,14 @@ def test_a_failed_run_is_a_row_and_an_error_if_requested(strict, expected, capsy
 
 
 @pytest.mark.slow
+def test_numbers_of_a_failed_run_are_null_in_json(capsys):
+    """JSON has no NaN, and other programs do not read it."""
+    words = ["-p", "diameter=0.01,-1", "--times", "1", "--outputs", "phi", "--workers", "0"]
+    assert main(["sweep", "crank_shaft", *words, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert [row["phi_final"] for row in rows] == [pytest.approx(55.0, rel=1e-6), None]
+
+
 def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
     pytest.importorskip("zarr")
     words = ["sweep", "crank_shaft", "--outputs", "phi", "--times", "1", "--workers", "0",
