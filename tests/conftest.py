@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from helpers.quick_compiler import quick_command
 
 import cosim
 
@@ -105,7 +106,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _quick_compiler() -> Iterator[None]:
-    """Compile without optimization, which takes a third of the time and computes the same bits.
+    """Compile without optimization, which takes a fraction of the time and computes the same bits.
 
     $COSIM_TEST_LEVEL is another level; empty for those of the package.
     """
@@ -113,7 +114,7 @@ def _quick_compiler() -> Iterator[None]:
     found = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     with pytest.MonkeyPatch.context() as patch:
         if level and found and sys.platform != "win32" and "CC" not in os.environ:
-            patch.setenv("CC", shlex.join([found, level]))
+            patch.setenv("CC", shlex.join(quick_command([found, level])))
         yield
 
 

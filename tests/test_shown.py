@@ -64,3 +64,11 @@ def test_pickled_model_runs_to_the_same_bits(name):
         for d in (dae, copy.deepcopy(dae))  # deepcopy takes the way of pickle
     )
     np.testing.assert_array_equal(first.values, second.values)
+
+
+def test_info_of_a_model_shows_the_same_tables_on_a_page_and_as_text():
+    info = cosim.info("bicycle")
+    page, (_, meaning) = info._repr_html_(), info.limits[0]
+    assert meaning in info.text()
+    assert f"<td>{meaning}</td>" in page
+    assert "a run is valid while every margin is positive" in page

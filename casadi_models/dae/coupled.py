@@ -180,6 +180,7 @@ def _renamed(part: str, dae: Dae, time: SX) -> Dae:
         ),
         inertias=tuple((f"{part}: {body}", matrix) for body, matrix in inertias),
         observed=tuple(f"{part}.{name}" for name in dae.observed),
+        mode_names=tuple(replace(m, state=f"{part}.{m.state}") for m in dae.mode_names),
         drawing=_named_drawing(part, drawing),
     )
 
@@ -218,7 +219,7 @@ def _side_by_side(name: str, title: str, daes: Sequence[Dae]) -> Dae:
     tuples = (
         *("states", "algebraics", "inputs", "parameters", "output_variables", "start_rules"),
         *("inertias", "observed", "x_start", "limits", "invariants", "monitors", "start_outputs"),
-        *("events", "smooth"),
+        *("events", "smooth", "mode_names"),
     )
     laws: dict[str, Any] = {column: ca.densify(stacked(column)) for column in columns}
     laws |= {kind: together(kind) for kind in tuples}
@@ -267,11 +268,11 @@ def _with_states_from(dae: Dae, first: int) -> Dae:
 
 
 def _closing(daes: Sequence[Dae]) -> Closing | None:
-    """Return how drift decays in all parts: their rates keep their ratios."""
+    """Return how drift decays in all parts; their rates keep their ratios to the largest."""
     known = [dae.closing for dae in daes if dae.closing is not None]
     if not known:
         return None
-    symbol, rate = SX.sym("closing_rate"), known[0].rate
+    symbol, rate = SX.sym("closing_rate"), max(closing.rate for closing in known)
     residuals = []
     for dae in daes:
         residual = dae.alg

@@ -83,6 +83,9 @@ typedef struct {
     int ends;           /* whether a part ends the run within the macro step */
     int reason;         /* why a macro step was rejected, as the end of a run */
     int switched;       /* whether a held input has changed within the macro step */
+    int looks;          /* whether the macro step only looks whether an event is where it begins */
+    int looked;         /* whether one has, since the past was forgotten */
+    int powers;         /* whether one has found that, and no step has been made since */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
     long long known;                 /* points of the past */

@@ -35,8 +35,13 @@ static inline void cubic_at(const Coupling *self, long long k, double since,
     const double rounding = 8 * DBL_EPSILON * fmax(fabs(a->u[k]), fabs(b->u[k]));
     const double chord = /* the rates tell it where the values are too near to each other */
         fabs(difference) <= rounding ? (a->r[k] + b->r[k]) / 2 : difference / h;
-    const double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
-    const double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
+    double second = 2 * (3 * chord - 2 * a->r[k] - b->r[k]) / h;
+    double third = 6 * (a->r[k] + b->r[k] - 2 * chord) / (h * h);
+    const int judged = self->looks || (self->powers && isfinite(self->middle));
+    if (judged && a->r[k] == 0 && second * chord < 0) {
+        second = 0; /* as of a higher power of time, not first to the other side */
+        third = 6 * chord / (h * h);
+    }
     derivatives[0] = a->u[k] + since * (a->r[k] + since * (second / 2 + since * third / 6));
     derivatives[1] = a->r[k] + since * (second + since * third / 2);
     derivatives[2] = second + since * third;
@@ -361,6 +366,19 @@ static inline double place_to_compare(const Coupling *self) {
     return exists ? middle : INFINITY;
 }
 
+/* Whether an input leaves its rest, which iterations do not follow yet, however little it moves. */
+static inline int any_begins(const Coupling *self, const double *given) {
+    const long long m = self->system->inputs;
+    for (long long i = 0; i < 2 * m; ++i) {
+        const long long k = i % m;
+        if (self->now.r[k] != 0 || self->system->held[k]) continue;
+        const double rest = i < m ? self->now.u[k] / size_of(self->system, k, self->now.u[k]) : 0;
+        const double found = self->found[i], off = fabs(found - given[i]);
+        if (off > fabs(found - rest) / 10 && off > 8 * DBL_EPSILON * fabs(found)) return 1;
+    }
+    return 0;
+}
+
 /* One macro step to `next.t`; `iterates`: until inputs and outputs at its end agree, or their
  * difference gets no smaller: then the best of all counts. `error` is the estimate of the
  * interface's error within, in scales. */
@@ -413,6 +431,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         double allowed = share * correction;
         if (isfinite(self->middle)) allowed = fmin(allowed, system->tolerance / 10);
         agreed = left <= fmax(allowed, ROUNDED * self->most);
+        if (self->looks && any_begins(self, w)) agreed = 0;
         if (agreed) self->agreed_at = pass;
         if (agreed && (recording || !records)) break;
         idle = left < best ? 0 : idle + 1;

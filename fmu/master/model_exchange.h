@@ -110,10 +110,8 @@ static inline int locate(Exchange *self, double *after, double *end) {
  * stages of the interpolant, which no error estimate sees, meet a change that the step passes over.
  */
 static inline int confirmed(Exchange *self, double after, const double *end) {
-    Slopes k;
-    double own[NX] = {0};
-    memcpy(k[0], self->k[0], sizeof k[0]);
-    if (stages(&self->ode, self->t, after - self->t, self->x, k, own)) return 0;
+    double own[NX] = {0}, error;
+    if (fresh_step(&self->ode, self->t, after, self->x, self->k, own, &error)) return 0;
     for (int i = 0; i < NX; ++i) own[i] -= end[i];
     return norm(&self->ode, own, end) <= 1;
 }
@@ -135,20 +133,19 @@ static inline int record_until(Exchange *self, double after, const double *end) 
  * goes on. */
 static inline int advance(Exchange *self, double goal, int *rejected, bool *event) {
     Run *run = self->run;
-    double end[NX], z[NZ];
-    if (0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
+    double end[NX], z[NZ], after;
+    const int final = self->t + 1.01 * self->h >= goal; /* as where goals differ by rounding */
+    if (!final && 0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
         if (self->fmu->function) return CALL_FAILED; /* what was discarded all the way */
         return STEP_VANISHED;
     }
-    const int final = self->t + 1.01 * self->h >= goal;
-    double after = final ? goal : self->t + self->h;
-    self->h = after - self->t; /* as time is rounded */
-    const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
-    const double error = lost ? NAN : error_of(&self->ode, self->h, self->x, end, self->k);
+    const double error =
+        try_step(&self->ode, self->t, self->h, goal, self->x, self->k, &after, end);
+    self->h = after - self->t;
     if (is_final(self)) return CALL_FAILED;
     if (!(error <= 1) || slope(&self->ode, after, end, self->k[END]) || !is_finite(self->k[END])) {
         if (is_final(self)) return CALL_FAILED;
-        self->h *= error > 1 ? growth(error, *rejected) : 0.1;
+        self->h = smaller_size(self->h, error, *rejected);
         *rejected = 1;
         return DONE;
     }

@@ -27,14 +27,17 @@ static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values
 
 typedef struct {
     Instance *fmu;
-    double tolerance;
-    double z[ROOM(NZ)];
+    SolverMemory *memory; /* where a step begins, and its interpolant */
+    Ode ode;
+    double tolerance, z[ROOM(NZ)];
     int trials; /* of steps that are left: MOST_TRIALS of model.h bound the time of a call */
-} Problem;
+    Slopes k;
+    double fresh[NX], fresh_error; /* the end of the last fresh step, and its error */
+} Stepper;
 
 /* dx/dt; the algebraic unknowns are solved from their last values. */
-static int problem_slope(void *problem, double t, const double *x, double *dx) {
-    Problem *self = problem;
+static int stepper_slope(void *stepper, double t, const double *x, double *dx) {
+    Stepper *self = stepper;
     Instance *fmu = self->fmu;
     double u[ROOM(NU)] = {0};
     inputs_at(fmu, t, u);
@@ -47,8 +50,8 @@ static int problem_slope(void *problem, double t, const double *x, double *dx) {
     return model_ode(fmu->arg, fmu->res, fmu->iw, fmu->w, 0);
 }
 
-static double problem_scale(const void *problem, int i, double x) {
-    const Problem *self = problem;
+static double stepper_scale(const void *stepper, int i, double x) {
+    const Stepper *self = stepper;
     const VariableInfo *state = &variables[FIRST_STATE + i];
     const double absolute = ABSOLUTE * state->nominal, size = fabs(x);
     /* what grows from a small value in proportion to it needs the digits of that */
@@ -62,7 +65,7 @@ static const double POOR = 0.5; /* distance from a singular configuration, 1 at 
 /* The middle of the widest gap between the nodes of the stages. */
 static const double GAP = 7.0 / 15;
 
-static double distance_at(Problem *self, double t, const double *x, double *rate) {
+static double distance_at(Stepper *self, double t, const double *x, double *rate) {
     Instance *fmu = self->fmu;
     double u[ROOM(NU)] = {0};
     inputs_at(fmu, t, u);
@@ -71,7 +74,7 @@ static double distance_at(Problem *self, double t, const double *x, double *rate
 }
 
 /* What is left until the constraints lose rank, by their rate; infinite where that is far. */
-static double time_to_loss(Problem *self, double t, const double *x) {
+static double time_to_loss(Stepper *self, double t, const double *x) {
     double rate = 0;
     if (distance_at(self, t, x, NULL) >= POOR) return INFINITY;
     const double distance = distance_at(self, t, x, &rate);
@@ -80,7 +83,7 @@ static double time_to_loss(Problem *self, double t, const double *x) {
 
 /* Move the end of a step to where the constraints hold, if they are poor there; false where that
    cannot be, or rank is lost. */
-static bool keep_to_constraints(Problem *self, double t, double *x) {
+static bool keep_to_constraints(Stepper *self, double t, double *x) {
     double u[ROOM(NU)] = {0};
     inputs_at(self->fmu, t, u);
     const double distance = distance_at(self, t, x, NULL);
@@ -104,98 +107,95 @@ static double shortest_step(double t, double length) {
     return 10 * DBL_EPSILON * fmax(fabs(t), length);
 }
 
+static void open_stepper(Stepper *self, Instance *fmu, SolverMemory *memory, double tolerance) {
+    self->fmu = fmu;
+    self->memory = memory;
+    self->ode = (Ode){stepper_slope, stepper_scale, self};
+    self->tolerance = tolerance;
+    self->trials = MOST_TRIALS;
+    memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
+}
+
 /* Start from the instance's own state. */
-static bool begin_motion(const Ode *ode, const Instance *fmu, SolverMemory *memory, double ahead) {
-    const double *values = fmu->state.values;
+static bool begin_motion(Stepper *self, double ahead) {
+    SolverMemory *memory = self->memory;
+    const double *values = self->fmu->state.values;
     memory->until = values[TIME];
 #if HAS_EVENTS
     memory->crossing = 0;
 #endif
     for (int i = 0; i < N_LIMITS; i++) memory->leaves[i] = DBL_MAX;
     memcpy(memory->end, values + FIRST_STATE, sizeof memory->end);
-    Slopes k;
-    if (slope(ode, memory->until, memory->end, k[0]) || !is_finite(k[0])) return false;
-    memcpy(memory->slope, k[0], sizeof memory->slope);
+    if (slope(&self->ode, memory->until, memory->end, self->k[0]) || !is_finite(self->k[0]))
+        return false;
+    memcpy(memory->slope, self->k[0], sizeof memory->slope);
     if (memory->next > 0) return true;
     const double rest = ahead - memory->until;
     const double span =
         rest > shortest_step(memory->until, 0) ? fmin(rest, LARGEST_STEP) : LARGEST_STEP;
-    memory->next = first_step(ode, memory->until, span, memory->end, k);
+    memory->next = first_step(&self->ode, memory->until, span, memory->end, self->k);
     return true;
 }
 
-typedef struct {
-    const Ode *ode;
-    Problem *problem;
-    const SolverMemory *memory; /* where the step begins, and its interpolant */
-    Slopes *k;
-    double x[NX], error; /* of the last fresh step */
-} Step;
-
-static void within_step(void *step, double t, double x[], double z[], double u[]) {
-    const Step *self = step;
+static void within_step(void *stepper, double t, double x[], double z[], double u[]) {
+    const Stepper *self = stepper;
     evaluate(&self->memory->piece, t, x);
-    memcpy(z, self->problem->z, NZ * sizeof *z);
-    inputs_at(self->problem->fmu, t, u);
+    memcpy(z, self->z, NZ * sizeof *z);
+    inputs_at(self->fmu, t, u);
 }
 
-static void box_of_step(void *step, double low[], double high[]) {
-    const Step *self = step;
+static void box_of_step(void *stepper, double low[], double high[]) {
+    const Stepper *self = stepper;
     box_of(&self->memory->piece, low, high);
 }
 
 /* Note when an accepted step leaves limits, where it has an interpolant. */
-static void look_at_limits(Problem *self, SolverMemory *memory, double after) {
-    Step made = {.problem = self, .memory = memory};
-    const Motion motion = {.solver = &made, .at = within_step, .box = box_of_step};
-    find_leaving(self->fmu, &motion, memory->until, after, memory->leaves);
+static void look_at_limits(Stepper *self, double after) {
+    const Motion motion = {.solver = self, .at = within_step, .box = box_of_step};
+    find_leaving(self->fmu, &motion, self->memory->until, after, self->memory->leaves);
 }
 
 #if HAS_EVENTS
-static bool step_again(void *step, double t, double x[], double z[], double u[]) {
-    Step *self = step;
-    const double from = self->memory->until, *start = self->memory->end;
-    memcpy(self->x, start, sizeof self->x);
-    self->error = 0;
-    if (t > from) {
-        if (stages(self->ode, from, t - from, start, *self->k, self->x)) return false;
-        self->error = error_of(self->ode, t - from, start, self->x, *self->k);
-    }
-    if (!keep_to_constraints(self->problem, t, self->x)) return false;
-    memcpy(x, self->x, sizeof self->x);
-    memcpy(z, self->problem->z, NZ * sizeof *z);
-    inputs_at(self->problem->fmu, t, u);
+static bool step_again(void *stepper, double t, double x[], double z[], double u[]) {
+    Stepper *self = stepper;
+    const SolverMemory *memory = self->memory;
+    if (fresh_step(&self->ode, memory->until, t, memory->end, self->k, self->fresh,
+                   &self->fresh_error) ||
+        !keep_to_constraints(self, t, self->fresh))
+        return false;
+    memcpy(x, self->fresh, sizeof self->fresh);
+    memcpy(z, self->z, NZ * sizeof *z);
+    inputs_at(self->fmu, t, u);
     return true;
 }
 
 /* End an accepted step from `until` to `after` at x where a relation leaves its mode. False where
    the last fresh step is not accurate, as what happens just before the crossing was stepped over.
  */
-static bool end_at_crossing(const Ode *ode, Problem *self, SolverMemory *memory, Slopes k,
-                            double *after, double x[]) {
-    Step last = {.ode = ode, .problem = self, .memory = memory, .k = (Slopes *)k};
-    const Motion motion = {.solver = &last, .at = within_step, .step_to = step_again};
+static bool end_at_crossing(Stepper *self, double *after, double x[]) {
+    SolverMemory *memory = self->memory;
+    const Motion motion = {.solver = self, .at = within_step, .step_to = step_again};
     Crossing crossing;
     memory->crossing = 0;
     const bool goes_on = memory->rested > 0 && *after < next_event(self->fmu);
     if (!find_event(self->fmu, &motion, memory->until, *after, goes_on, &crossing)) return false;
     if (crossing.relation < 0) return true;
-    if (!(last.error <= 1)) return false;
-    memcpy(x, last.x, sizeof last.x);
+    if (!(self->fresh_error <= 1)) return false;
+    memcpy(x, self->fresh, sizeof self->fresh);
     memory->crossing = crossing.relation + 1;
     memory->since = crossing.since;
     *after = crossing.time;
     return true;
 }
 #else
-#define end_at_crossing(ode, self, memory, k, after, x) true
+#define end_at_crossing(self, after, x) true
 #endif
 
 /* One step on from the end of the last, no further than `ahead`; it may end beyond `end`. */
-static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, double end,
-                      double ahead) {
-    Slopes k;
-    double x[NX];
+static bool take_step(Stepper *self, double end, double ahead) {
+    SolverMemory *memory = self->memory;
+    const Ode *ode = &self->ode;
+    double x[NX], after;
     const double began = self->fmu->state.values[TIME];
     const double t = memory->until, shortest = shortest_step(t, end - began);
     if (ahead - t <= shortest) { /* as from a sample to a communication point: nothing moves */
@@ -204,23 +204,21 @@ static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     }
     note_leaving(self->fmu, t, memory->leaves); /* a communication point may lie within the last */
     const double loss = time_to_loss(self, t, memory->end);
-    memcpy(k[0], memory->slope, sizeof k[0]);
+    memcpy(self->k[0], memory->slope, sizeof self->k[0]);
     for (int rejected = 0; memory->next > shortest && self->trials-- > 0; rejected = 1) {
         const double size = size_before(loss, memory->next);
         const double most = loss < size ? 1 / OF_TOLERANCE : 1; /* the requested tolerance itself */
-        const bool final = t + 1.01 * size >= ahead;
-        double after = final ? ahead : t + size;
-        const double h = after - t; /* as time is rounded, so that states do not run away from it */
-        const int lost = stages(ode, t, h, memory->end, k, x);
-        const double error = lost ? NAN : error_of(ode, h, memory->end, x, k);
+        const double error = try_step(ode, t, size, ahead, memory->end, self->k, &after, x);
+        const double h = after - t;
         if (!(error <= most) || !keep_to_constraints(self, after, x) ||
-            slope(ode, after, x, k[END]) || !is_finite(k[END])) {
-            memory->next = h * (error > 1 ? growth(error, rejected) : 0.1);
+            slope(ode, after, x, self->k[END]) || !is_finite(self->k[END])) {
+            memory->next = smaller_size(h, error, rejected);
             continue;
         }
+        const bool final = after == ahead;
         const bool needed = HAS_EVENTS || after > end;
         const bool dense = (needed || N_LIMITS > 0) &&
-                           !interpolate(ode, t, h, memory->end, x, k, &memory->piece) &&
+                           !interpolate(ode, t, h, memory->end, x, self->k, &memory->piece) &&
                            all_finite(memory->piece.row[0], 8 * NX);
         if (!dense) memset(&memory->piece, 0, sizeof memory->piece);
         if (needed && !dense) {
@@ -230,17 +228,17 @@ static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, doubl
                 memory->next = 0.1 * h;
             continue;
         }
-        if (!end_at_crossing(ode, self, memory, k, &after, x)) {
+        if (!end_at_crossing(self, &after, x)) {
             memory->next = 0.1 * h;
             continue;
         }
-        if (N_LIMITS > 0 && dense) look_at_limits(self, memory, after);
+        if (N_LIMITS > 0 && dense) look_at_limits(self, after);
         const double next = h * growth(error, rejected);
         const bool shortened = final || size < memory->next;
         memory->next = fmin(shortened ? fmax(memory->next, next) : next, LARGEST_STEP);
         memory->until = after;
         memcpy(memory->end, x, sizeof x);
-        memcpy(memory->slope, k[END], sizeof memory->slope);
+        memcpy(memory->slope, self->k[END], sizeof memory->slope);
         return true;
     }
     memory->next = 0;
@@ -248,7 +246,8 @@ static bool take_step(const Ode *ode, Problem *self, SolverMemory *memory, doubl
 }
 
 /* Move the instance to a time that has been reached. */
-static void move_to(const Problem *self, SolverMemory *memory, double time) {
+static void move_to(const Stepper *self, double time) {
+    SolverMemory *memory = self->memory;
     State *state = &self->fmu->state;
     double *values = state->values;
     if (time < memory->until)
@@ -262,11 +261,12 @@ static void move_to(const Problem *self, SolverMemory *memory, double time) {
 }
 
 /* The end of a step within a communication step: an intermediate update that changes nothing. */
-static bool show(const Problem *self, SolverMemory *memory, double *end) {
+static bool show(const Stepper *self, double *end) {
+    SolverMemory *memory = self->memory;
     State *state = &self->fmu->state;
     if (N_LIMITS == 0 && !self->fmu->host.step_finished) return true;
     State before = *state;
-    move_to(self, memory, memory->until);
+    move_to(self, memory->until);
     const bool well = pass_midway(self->fmu, end);
     before.mode = state->mode;
     before.outside = state->outside;
@@ -281,12 +281,12 @@ static bool show(const Problem *self, SolverMemory *memory, double *end) {
 enum { WENT_ON, HAPPENED, WAITS, FAILED };
 
 /* All that happens where the last step ended, if anything does; then the solver starts afresh. */
-static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, double end,
-                      double ahead) {
+static int pass_event(Stepper *self, double end, double ahead) {
     Instance *fmu = self->fmu;
+    SolverMemory *memory = self->memory;
     if (memory->crossing == 0 && next_event(fmu) > memory->until) return WENT_ON;
     Outcome outcome;
-    move_to(self, memory, memory->until);
+    move_to(self, memory->until);
     if (leave_to_importer(fmu, (int)memory->crossing - 1)) {
         memset(memory, 0, sizeof *memory);
         return WAITS;
@@ -298,7 +298,7 @@ static int pass_event(const Ode *ode, Problem *self, SolverMemory *memory, doubl
     memcpy(self->z, fmu->state.values + FIRST_ALGEBRAIC, NZ * sizeof *self->z);
     memcpy(memory->inputs, fmu->state.values + FIRST_INPUT, NU * sizeof *memory->inputs);
     memory->next = 0;
-    return begin_motion(ode, fmu, memory, ahead) ? HAPPENED : FAILED;
+    return begin_motion(self, ahead) ? HAPPENED : FAILED;
 }
 #endif
 
@@ -308,11 +308,9 @@ void restart_solver(Instance *self) {
 
 double typical_step(Instance *self) {
     SolverMemory memory = self->state.memory;
-    Problem problem = {.fmu = self, .tolerance = TIGHTEST};
-    const Ode ode = {problem_slope, problem_scale, &problem};
-    memcpy(problem.z, self->state.values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
-    if (memory.next > 0 || begin_motion(&ode, self, &memory, self->state.stop_time))
-        return memory.next;
+    Stepper stepper;
+    open_stepper(&stepper, self, &memory, TIGHTEST);
+    if (memory.next > 0 || begin_motion(&stepper, self->state.stop_time)) return memory.next;
     return LARGEST_STEP;
 }
 
@@ -332,14 +330,9 @@ bool integrate_to(Instance *self, double end) {
     if (event_waits(self)) return true;
 #endif
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
-    Problem problem = {
-        .fmu = self,
-        .tolerance = fmax(OF_TOLERANCE * state->tolerance, TIGHTEST),
-        .trials = MOST_TRIALS,
-    };
-    const Ode ode = {problem_slope, problem_scale, &problem};
-    memcpy(problem.z, state->values + FIRST_ALGEBRAIC, NZ * sizeof *problem.z);
-    if (!goes_on && !begin_motion(&ode, self, memory, ahead)) {
+    Stepper stepper;
+    open_stepper(&stepper, self, memory, fmax(OF_TOLERANCE * state->tolerance, TIGHTEST));
+    if (!goes_on && !begin_motion(&stepper, ahead)) {
         memset(memory, 0, sizeof *memory);
         return false;
     }
@@ -347,27 +340,25 @@ bool integrate_to(Instance *self, double end) {
     memcpy(memory->inputs, u, NU * sizeof *u);
     /* the end of a step that was made in an earlier communication step */
     const bool passes = memory->until > state->values[TIME] && memory->until < end;
-    if (passes && self->host.step_finished && !show(&problem, memory, &end)) return false;
+    if (passes && self->host.step_finished && !show(&stepper, &end)) return false;
 
     for (;;) {
         double until = ahead;
 #if HAS_EVENTS
         end = end_with_event(self, end);
         if (memory->crossing > 0 && memory->since <= end) end = fmax(end, memory->until);
-        const int how =
-            memory->until <= end ? pass_event(&ode, &problem, memory, end, ahead) : WENT_ON;
+        const int how = memory->until <= end ? pass_event(&stepper, end, ahead) : WENT_ON;
         if (how == FAILED) return false;
         if (how == WAITS) return true;
         if (how == HAPPENED) continue;
         until = fmin(fmax(ahead, end), event_before(self, end));
 #endif
         if (memory->until >= end) break;
-        if (!take_step(&ode, &problem, memory, end, until) ||
-            (memory->until < end && !show(&problem, memory, &end))) {
-            move_to(&problem, memory, memory->until);
+        if (!take_step(&stepper, end, until) || (memory->until < end && !show(&stepper, &end))) {
+            move_to(&stepper, memory->until);
             return false;
         }
     }
-    move_to(&problem, memory, end);
+    move_to(&stepper, end);
     return true;
 }

@@ -10,58 +10,8 @@
 
 enum { MOST_STEPS = 100000 }; /* per output interval */
 
-/* An accepted step, and its interpolant as soon as it is needed. */
-typedef struct {
-    const Ode *ode;
-    const double *x, *end;
-    double (*k)[NX];
-    double t, h;
-    Interpolant piece;
-    int known;
-    double error; /* of the last fresh step */
-} Accepted;
-
-static inline int interpolated(Accepted *self) {
-    if (!self->known &&
-        interpolate(self->ode, self->t, self->h, self->x, self->end, self->k, &self->piece))
-        return 1;
-    self->known = 1;
-    return 0;
-}
-
-static inline int within_accepted(void *accepted, double t, double *x, double *dx) {
-    Accepted *self = accepted;
-    if (interpolated(self)) return 1;
-    evaluate_both(&self->piece, t, x, dx);
-    return 0;
-}
-
-static inline int step_afresh(void *accepted, double t, double *x) {
-    Accepted *self = accepted;
-    Slopes k;
-    memcpy(k[0], self->k[0], sizeof k[0]);
-    memcpy(x, self->x, NX * sizeof *x);
-    self->error = 0;
-    if (t > self->t) {
-        if (stages(self->ode, self->t, t - self->t, self->x, k, x)) return 1;
-        self->error = error_of(self->ode, t - self->t, self->x, x, k);
-    }
-    return restore(self->ode->context, t, x);
-}
-
 enum { STEPS_PER_TEST = 1000, MOST_STIFF = 15, MOST_OTHER = 6 };
 static const double STABLE = 6.1; /* step times eigenvalue, at the border of stability */
-
-/* Whether stability limits the steps rather than accuracy, as Hairer's code finds out. */
-static inline int is_stiff(Problem *self, const Accepted *step) {
-    if (!self->leaves_stiff || (self->steps % STEPS_PER_TEST != 0 && self->stiff == 0)) return 0;
-    if (stiffness_of(step->ode, step->h, step->x, step->end, step->k) > STABLE) {
-        self->other = 0;
-        return ++self->stiff == MOST_STIFF;
-    }
-    if (++self->other == MOST_OTHER) self->stiff = 0;
-    return 0;
-}
 
 /* A run on its way over a grid, from t on; `after` is where the present step ends. */
 typedef struct {
@@ -72,13 +22,49 @@ typedef struct {
     Ode ode;
     double *x, end[NX], t, after, h, error;
     Slopes k;
-    Accepted accepted;
+    Interpolant piece; /* of the present step, as soon as it is needed: then it is known */
+    int known;
+    double fresh_error; /* of the last fresh step */
     Step step;
     Place here, ahead; /* relations at t, and at the end of the step */
     long long next;    /* output time to be written */
     long long trials;  /* since the last one */
     int rejected;      /* whether the last step was */
 } Adaptive;
+
+static inline int interpolated(Adaptive *self) {
+    if (!self->known &&
+        interpolate(&self->ode, self->t, self->h, self->x, self->end, self->k, &self->piece))
+        return 1;
+    self->known = 1;
+    return 0;
+}
+
+static inline int within_accepted(void *adaptive, double t, double *x, double *dx) {
+    Adaptive *self = adaptive;
+    if (interpolated(self)) return 1;
+    evaluate_both(&self->piece, t, x, dx);
+    return 0;
+}
+
+static inline int step_afresh(void *adaptive, double t, double *x) {
+    Adaptive *self = adaptive;
+    return fresh_step(&self->ode, self->t, t, self->x, self->k, x, &self->fresh_error) ||
+           restore(self->problem, t, x);
+}
+
+/* Whether stability limits the steps rather than accuracy, as Hairer's code finds out. */
+static inline int is_stiff(Adaptive *self) {
+    Problem *problem = self->problem;
+    if (!problem->leaves_stiff || (problem->steps % STEPS_PER_TEST != 0 && problem->stiff == 0))
+        return 0;
+    if (stiffness_of(&self->ode, self->h, self->x, self->end, self->k) > STABLE) {
+        problem->other = 0;
+        return ++problem->stiff == MOST_STIFF;
+    }
+    if (++problem->other == MOST_OTHER) problem->stiff = 0;
+    return 0;
+}
 
 /* Prepares the first step from the present state; its unknowns are written unless NULL. */
 static inline int begin_steps(Adaptive *self, double *unknowns) {
@@ -98,22 +84,18 @@ static inline int begin_steps(Adaptive *self, double *unknowns) {
  * not, the size is that of the next trial. */
 static inline int propose(Adaptive *self) {
     Problem *problem = self->problem;
-    double *const end = self->end, stop = self->grid->end;
-    const int final = self->t + 1.01 * self->h >= stop;
-    self->after = final ? stop : self->t + self->h;
-    self->h = self->after - self->t; /* as time is rounded: states must not run away from it */
-    const int lost = stages(&self->ode, self->t, self->h, self->x, self->k, end);
-    self->error = lost ? NAN : error_of(&self->ode, self->h, self->x, end, self->k);
+    double *const end = self->end;
+    self->error = try_step(&self->ode, self->t, self->h, self->grid->end, self->x, self->k,
+                           &self->after, end);
+    self->h = self->after - self->t;
     if (!(self->error <= 1) || restore(problem, self->after, end) ||
         slope(&self->ode, self->after, end, self->k[END]) || !is_finite(self->k[END])) {
-        self->h *= self->error > 1 ? growth(self->error, self->rejected) : 0.1;
+        self->h = smaller_size(self->h, self->error, self->rejected);
         self->rejected = 1;
         return 0;
     }
     ++problem->steps;
-    self->accepted.t = self->t;
-    self->accepted.h = self->h;
-    self->accepted.known = 0;
+    self->known = 0;
     return 1;
 }
 
@@ -122,7 +104,6 @@ static inline int find_event(Adaptive *self, Crossing *found) {
     Watch *watch = self->watch;
     double z[NZ + 1];
     self->step.t = self->t;
-    self->step.h = self->after - self->t;
     if ((NZ > 0 && equations_at(self->problem, self->after, self->end, self->k[END], z)) ||
         look(watch, self->after, self->end, z, self->k[END], &self->ahead) ||
         crossing_of(&self->step, self->x, self->grid->times + self->next,
@@ -133,7 +114,7 @@ static inline int find_event(Adaptive *self, Crossing *found) {
 
 /* A fresh step to a crossing is not accurate enough: the step has passed over a change. */
 static inline void shorten(Adaptive *self, const Crossing *crossing) {
-    self->h = (crossing->time - self->t) * growth(self->accepted.error, 1);
+    self->h = (crossing->time - self->t) * growth(self->fresh_error, 1);
     self->rejected = 1;
     --self->problem->steps;
 }
@@ -143,15 +124,13 @@ static inline int write_rows(Adaptive *self, bool crossed) {
     const Grid *grid = self->grid;
     const double after = self->after;
     const long long first = self->next;
-    if (first < grid->points && grid->times[first] < after && interpolated(&self->accepted))
-        return NOT_FINITE;
+    if (first < grid->points && grid->times[first] < after && interpolated(self)) return NOT_FINITE;
     for (; self->next < grid->points && grid->times[self->next] <= after; ++self->next) {
         const double t = grid->times[self->next];
         double *const column = grid->states + self->next * NX;
         if (crossed && t == after) break;
         if (t < after) {
-            if (grid->times + self->next >= self->step.looked)
-                evaluate(&self->accepted.piece, t, column);
+            if (grid->times + self->next >= self->step.looked) evaluate(&self->piece, t, column);
             if (restore(self->problem, t, column) || !is_finite(column)) return NOT_FINITE;
         }
         if (write_column(self->problem, grid, self->next, t < after ? column : self->end,
@@ -198,10 +177,9 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
                      .t = grid->begin};
     Watch *watch = self.watch;
     const double stop = grid->end;
-    self.accepted = (Accepted){.ode = &self.ode, .x = x, .end = self.end, .k = self.k};
     self.step = (Step){.watch = watch,
                        .known = stop,
-                       .motion = &self.accepted,
+                       .motion = &self,
                        .within = within_accepted,
                        .step_to = step_afresh,
                        .slopes = self.k[0],
@@ -221,11 +199,11 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
         if (0.1 * self.h <= fabs(self.t) * DBL_EPSILON || self.h < 1e-18 * (stop - grid->begin))
             return STEP_TOO_SMALL;
         if (!propose(&self)) continue;
-        if (is_stiff(problem, &self.accepted)) return STIFF;
+        if (is_stiff(&self)) return STIFF;
         Crossing crossing = {self.after, -1, self.after};
         if (watch && find_event(&self, &crossing)) return NOT_FINITE;
         const bool crossed = crossing.relation >= 0;
-        if (crossed && !(self.accepted.error <= 1)) {
+        if (crossed && !(self.fresh_error <= 1)) {
             shorten(&self, &crossing);
             continue;
         }

@@ -77,6 +77,28 @@ static inline double error_of(const Ode *ode, double h, const double *x, const d
     return both > 0 ? fabs(h) * sum_5 / sqrt(NX * both) : 0 * both; /* nan stays nan */
 }
 
+/* Tries a step of about a size: it ends at a goal that is hardly beyond. Returns its error, NaN
+ * where it has no value; `after` and `end` are the time and the state at its end. */
+static inline double try_step(const Ode *ode, double t, double size, double goal, const double *x,
+                              Slopes k, double *after, double *end) {
+    *after = t + 1.01 * size >= goal ? goal : t + size;
+    const double h = *after - t; /* as time is rounded: states must not run away from it */
+    return stages(ode, t, h, x, k, end) ? NAN : error_of(ode, h, x, end, k);
+}
+
+/* A step from where one begins, with its first slope, to another time. Returns 0 with a value. */
+static inline int fresh_step(const Ode *ode, double from, double t, const double *x, Slopes k,
+                             double *end, double *error) {
+    Slopes own;
+    memcpy(own[0], k[0], sizeof own[0]);
+    memcpy(end, x, NX * sizeof *x);
+    *error = 0;
+    if (!(t > from)) return 0;
+    const int lost = stages(ode, from, t - from, x, own, end);
+    if (!lost) *error = error_of(ode, t - from, x, end, own);
+    return lost;
+}
+
 static inline int interpolate(const Ode *ode, double t, double h, const double *x,
                               const double *end, Slopes k, Interpolant *p) {
     double sum[NX], y[NX];
@@ -119,6 +141,11 @@ static inline double stiffness_of(const Ode *ode, double h, const double *x, con
 static inline double growth(double error, int rejected) {
     const double most = error > 1 || rejected ? 1.0 : 6.0;
     return fmin(most, fmax(1.0 / 3, 0.9 * pow(error, -1.0 / 8)));
+}
+
+/* The size to try after one that was not accepted. */
+static inline double smaller_size(double h, double error, int rejected) {
+    return h * (error > 1 ? growth(error, rejected) : 0.1);
 }
 
 #endif

@@ -62,7 +62,7 @@ enum { OWN_ARGUMENTS = 4, OWN_RESULTS = 2 }; /* of `run`; they come first in the
 
 SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long long *sz_w) {
     *sz_arg = OWN_ARGUMENTS + WORK_ARG;
-    *sz_res = OWN_RESULTS + WORK_RES;
+    *sz_res = OWN_RESULTS + RESULTS_OF_A_LAW + WORK_RES; /* `call_law` writes them all */
     *sz_iw = WORK_IW;
     *sz_w = WORK_W;
     return 0;

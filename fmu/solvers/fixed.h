@@ -78,10 +78,11 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
                 memcpy(made.x, x, sizeof made.x);
                 memcpy(k[0], made.slope, sizeof made.slope);
             }
-            if (step_of_method(self, t, h, watch != NULL, k, x) || restore(self, end, x))
+            if (step_of_method(self, t, h, watch != NULL, k, x) || restore(self, end, x) ||
+                !is_finite(x))
                 return NOT_FINITE;
             ++self->steps;
-            if (!watch || !is_finite(x)) continue;
+            if (!watch) continue;
             made.quintic = (Quintic){.t = t,
                                      .h = end - t,
                                      .ends = {made.x, x},
@@ -92,7 +93,6 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
             Step step = {.watch = watch,
                          .t = t,
-                         .h = made.quintic.h,
                          .known = grid->end,
                          .motion = &made,
                          .within = within_made,
@@ -118,7 +118,6 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
             memcpy(made.slope, slope_ahead, sizeof slope_ahead);
             here = ahead;
         }
-        if (!is_finite(x)) return NOT_FINITE;
         if (passed && goal > begin) continue;
         begin = goal;
         if (written && write_column(self, grid, next++, x, course)) return NOT_FINITE;

@@ -28,7 +28,7 @@ typedef struct {
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
     Watch *watch;
-    double t, h, known; /* known: the motion goes on as it is up to this time */
+    double t, known; /* known: the motion goes on as it is up to this time */
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
@@ -48,20 +48,10 @@ static inline bool has_states(const Laws *laws) {
     return false;
 }
 
-static inline int relations_at(const Watch *self, double t, const double *x, double *z,
-                               const double *dx, Seen *seen, double *modes, double *towards) {
-    const Problem *problem = self->problem;
-    problem->arg[0] = &t;
-    problem->arg[1] = x;
-    problem->arg[2] = z;
-    problem->arg[3] = problem->u;
-    problem->arg[4] = problem->c;
-    problem->arg[5] = dx;
-    problem->res[0] = seen->arguments;
-    problem->res[1] = seen->rates;
-    problem->res[2] = modes;
-    problem->res[3] = towards;
-    return self->watch(problem->arg, problem->res, problem->iw, problem->w, 0);
+static inline bool relations_at(const Watch *self, double t, const double *x, double *z,
+                                const double *dx, Seen *seen, double *modes, double *towards) {
+    return call_law(&self->owner, self->watch, &(Point){t, x, z, self->problem->u}, dx,
+                    (Results){seen->arguments, seen->rates, modes, towards});
 }
 
 /* Whether an argument stays 0 by the equations, wherever the solver's motion goes. */
@@ -69,7 +59,7 @@ static inline int is_kept(const Watch *self, double t, const double *x, int i) {
     double slopes[NX], solved[NZ + 1], modes[MODES + 1], towards[MODES + 1];
     Seen exact = {.arguments = {0}};
     return !equations_at(self->problem, t, x, slopes, solved) &&
-           !relations_at(self, t, x, solved, slopes, &exact, modes, towards) &&
+           relations_at(self, t, x, solved, slopes, &exact, modes, towards) &&
            fabs(exact.rates[i]) <= self->switching->stays[i];
 }
 
@@ -80,7 +70,7 @@ static inline int look(const Watch *self, double t, const double *x, double *z, 
     double modes[MODES + 1], towards[MODES + 1];
     Seen seen = {.arguments = {0}};
     found->t = t;
-    if (relations_at(self, t, x, z, dx, &seen, modes, towards)) return 1;
+    if (!relations_at(self, t, x, z, dx, &seen, modes, towards)) return 1;
     measure(&self->laws, s, modes, &seen, found->inside, found->rates);
     for (int i = 0; i < MODES; ++i) {
         if (s->state[i] == SLIDES) found->rates[i] = modes[i] > 0 ? -towards[i] : towards[i];
@@ -102,7 +92,7 @@ static inline void let_go(const Watch *self, double t, const double *x) {
     double dx[NX], z[NZ + 1], modes[MODES + 1], towards[MODES + 1];
     Seen seen = {.arguments = {0}};
     if (!any_leaves(self->switching) || equations_at(self->problem, t, x, dx, z)) return;
-    if (!relations_at(self, t, x, z, dx, &seen, modes, towards))
+    if (relations_at(self, t, x, z, dx, &seen, modes, towards))
         note_inside(&self->laws, self->switching, modes, seen.arguments);
 }
 

@@ -12,6 +12,7 @@ _VIOLET, _BROWN, _WINE = "#6A3D9A", "#8B6914", "#882255"
 
 CURVES = (BLUE, ORANGE, GREEN, PINK, YELLOW, SKY, _VIOLET, _BROWN, DARK, _WINE)
 SECOND = "#000000"  # the second of two runs that are compared
+GROUND = "0.85"  # lines on the ground
 INVALID = "#A02020"  # spans and texts of invalid runs
 INVALID_BODY = "#999999"  # bodies of invalid runs
 FRAME_AXES = ("#B03030", "#207020", "#2040B0")  # axes 1, 2 and 3 of a body's frame

@@ -94,3 +94,23 @@ def test_wrong_options_exit_with_their_code_and_one_line(capsys, words, code, ex
 def test_count_of_values_along_which_to_linearize_is_checked(capsys, count):
     assert main(["linearize", "crank_shaft", "--along", f"alpha=1:2:{count}"]) == 2
     assert "N" in capsys.readouterr().err  # before: a minute's silence, or Python's own error
+
+
+def test_deviation_of_a_temperature_has_no_offset(capsys, tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(
+        "import cosim\n"
+        "def room():\n"
+        "    model = cosim.Model('room', stop_time=1.0)\n"
+        "    x = model.state('x', 'K', 290.0, 'of the room')\n"
+        "    model.derivative(x, model.parameter('outside', 'K', 280.0, 'of the air') - x)\n"
+        "    return model.freeze()\n"
+    )
+    code = main(
+        ["sweep", f"{path}:room", "-p", "outside=normal(20degC, 0.01degC)", "--design",
+         "random:8", "--keep", "final", "--workers", "0", "-q"]
+    )  # fmt: skip
+    outside = [float(row["outside"]) for row in rows_of(capsys.readouterr().out)]
+    assert code == 0
+    assert outside == pytest.approx([293.15] * 8, abs=0.1)
+    assert len(set(outside)) == 8

@@ -103,13 +103,15 @@ def test_loop_without_a_solution_is_named():
         apart.simulate(stop_time=1, macro_step=0.1)
 
 
-def test_events_limits_and_drawings_of_parts_are_kept():
+def test_events_limits_drawings_and_names_of_modes_of_parts_are_kept():
     system = read_system(f"{FOLDER}/ride.toml")
     bicycle = cosim.load("bicycle")
     assert len(system.dae.limits) == len(bicycle.limits) > 0
     assert system.dae.limits[0][1].startswith("bicycle: ")
     assert len(system.dae.drawing.shapes) == len(bicycle.drawing.shapes)
     assert {"world", "bicycle.fork"} <= {body.name for body in system.dae.drawing.bodies}
+    (weave,) = system.dae.mode_names
+    assert (weave.state, *weave.oscillating) == ("bicycle.delta", "weave")
     known = {v.name for v in (*system.dae.variables, *system.dae.parameters)}
     assert {symbol.name() for symbol in ca.symvar(motion(system.dae.drawing))} <= known
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.harness import compiler
 
 from cosim.codegen.compiler import compile_library, find_compiler
 from cosim.fmi.shared_library import fat_library, read_libraries
@@ -26,7 +27,7 @@ native = pytest.mark.skipif(sys.platform != "linux", reason="reads what gcc make
 def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("library")
     (folder / "code.c").write_text(CODE)
-    return compile_library([folder / "code.c"], folder / "code.so")
+    return compile_library([folder / "code.c"], folder / "code.so", command=[compiler()])
 
 
 @native

@@ -63,12 +63,12 @@ def test_baumgarte_is_the_default_and_less_drifts_without():
     assert none["position_drift"].max() > own["position_drift"].max()
 
 
-def gap():
-    """A gap g, open by 1 m and at rest, that closes with 2 1/s."""
+def gap(rate=2.0):
+    """A gap g, open by 1 m and at rest, that closes with a rate in 1/s."""
     model = Model("gap", stop_time=3.0, output_interval=0.1)
     g, g_dot = model.state("g", "m", 1.0, "gap"), model.state("g_dot", "m/s", 0.0, "its rate")
     bend = model.algebraic("bend", "m/s2", 0.0, "its second derivative")
-    rate, size = model.closing_rate(2.0), model.parameter("size", "1", 1.0, "not used up")
+    rate, size = model.closing_rate(rate), model.parameter("size", "1", 1.0, "not used up")
     model.equation(size * (bend + 2 * rate * g_dot + rate**2 * g))
     model.derivative(ca.vertcat(g, g_dot), ca.vertcat(g_dot, bend))
     return model.freeze()
@@ -81,6 +81,16 @@ def test_gap_closes_with_the_rate_that_is_chosen(rate, reduced):
     run = cosim.simulate(dae if rate == dae.closing.rate else dae.closing_at(rate), outputs=["g"])
     exact = (1 + rate * run.time) * np.exp(-rate * run.time)
     np.testing.assert_allclose(run["g"], exact, atol=1e-6)  # measured 1e-7
+
+
+@pytest.mark.parametrize("rates", [(0.0, 2.0), (2.0, 0.0), (0.5, 2.0)])
+def test_gaps_of_coupled_parts_close_each_with_its_rate(rates):
+    whole = cosim.couple({"a": gap(rates[0]), "b": gap(rates[1])}, {}).dae
+    assert whole.closing.rate == 2
+    run = cosim.simulate(whole, outputs=["a.g", "b.g"])
+    for name, rate in zip(("a.g", "b.g"), rates, strict=True):
+        exact = (1 + rate * run.time) * np.exp(-rate * run.time)
+        np.testing.assert_allclose(run[name], exact, atol=1e-6)
 
 
 @pytest.mark.parametrize("rate", [-1.0, np.nan, np.inf])

@@ -387,3 +387,14 @@ def test_equation_without_a_value_at_the_start_is_named(solver):
     model.derivative(v, v / x)
     with pytest.raises(SolverError, match="the derivative of v is not a number at the start"):
         cosim.simulate(model.freeze(), solver=solver, compiled=False)
+
+
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+@pytest.mark.parametrize("output_interval", [0.1, 10.0])
+def test_a_state_that_grows_without_bound_is_told_where_it_does(solver, output_interval):
+    """x' = x^2 is 1 / (1 - t) from 1; no output time is near."""
+    x = ca.SX.sym("x")
+    dae = cosim.from_casadi({"x": x, "ode": x * x}, {"x": 1.0}, stop_time=10.0)
+    times = {"step_size": 0.01, "output_interval": output_interval}
+    with pytest.raises(SolverError, match=r"not finite at t = 1(\.0\d)?, h = 0\.01"):
+        cosim.simulate(dae, solver=solver, **times)

@@ -13,7 +13,14 @@ from casadi_models.dae import Dae, Model
 from casadi_models.mechanics.kane import InertialTerm
 from casadi_models.mechanics.mechanism import mechanism
 from cosim.errors import SolverError, UsageError
-from cosim.integrate.validity import singular_configurations, times_between, with_singularity_margin
+from cosim.integrate.engine import Counts
+from cosim.integrate.motion import Motion
+from cosim.integrate.outputs import Observed
+from cosim.integrate.validity import (
+    first_singular_configuration,
+    times_between,
+    with_singularity_margin,
+)
 
 FOUR_BARS = f"{Path(__file__).parents[2] / 'examples' / 'four_bars_a02.py'}:build"
 FIRST = 0.7144  # s, when all bars lie in a line
@@ -90,16 +97,17 @@ def test_configuration_in_the_last_interval_is_seen(bars, stop):
         cosim.simulate(bars, stop_time=stop)
 
 
-def test_motion_that_stays_singular_is_reported_once(bars):
+def test_motion_that_stays_singular_is_reported_where_it_becomes_so(bars):
     """Two cranks that lock in line: the condition, once lost, does not fall again."""
     time = np.linspace(0.0, 0.2, 21)
     states, unknowns = np.zeros((12, 21)), np.zeros((11, 21))
     states[:6] = [[0.0], [1.0], [1.0], [1.0], [2.0], [1.0]]
-    rank = np.where(time < 0.105, 0.5, 1e-7)
-    losses = singular_configurations(
-        bars, time, states, unknowns, np.empty((0, 1)), np.empty(0), rank
-    )
-    assert [(loss.position, loss.distance) for loss in losses] == [(10, 1e-7)]
+    motion = Motion(bars, time, states, unknowns, np.empty((0, 1)), np.empty(0), Counts())
+    distance = np.where(time < 0.105, 0.5, 1e-7)[:, None]
+    seen = Observed(np.empty((21, 0)), unknowns.T, 21, distance)
+    found = first_singular_configuration(motion, seen, 21)
+    assert (found.position, found.reason.time) == (11, time[11])
+    assert "constraint_condition 1e+07" in found.reason
 
 
 @pytest.mark.slow_rows("wanted0")

@@ -87,3 +87,14 @@ def test_memory_counts_every_number_of_a_row():
 def test_grid_that_does_not_increase_is_refused(grid, reason):
     with pytest.raises(ParameterError, match=f"grid: .*({reason})"):
         checked_grid(grid)
+
+
+@pytest.mark.parametrize(
+    ("stop", "interval", "intervals"),
+    [(6.000004, 1e-5, 600_001), (6.00000005, 1e-5, 600_000), (1.0, 0.3333333, 3), (1.0, 0.333, 4)],
+)
+def test_the_last_interval_is_shorter_or_hardly_longer(stop, interval, intervals):
+    grid = time_grid(0, stop, interval)
+    assert len(grid) == intervals + 1
+    assert grid[-1] == stop
+    assert np.diff(grid)[-1] <= 1.01 * interval

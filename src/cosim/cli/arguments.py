@@ -184,10 +184,17 @@ def spaced(where: str, first: float, last: float, count: str) -> list[float]:
     return [float(x) for x in np.linspace(first, last, whole(where, "N", int(count)))]
 
 
-def value_in(name: str, text: str, unit: str | None) -> float:
-    """Return the number of a variable in SI units, or in its own unit if that is not known."""
+def value_in(name: str, text: str, unit: str | None, *, difference: bool = False) -> float:
+    """Return the number of a variable in SI units, or in its own unit if that is not known.
+
+    Args:
+        name: Of the variable.
+        text: Number and unit.
+        unit: The variable's own, if it is known.
+        difference: Whether it is a difference of two values, for which an offset does not count.
+    """
     if unit is not None:
-        return quantity(name, text, unit)
+        return quantity(name, text, unit, difference=difference)
     if text.lower() in ("true", "false"):
         return float(text.lower() == "true")
     try:

@@ -182,6 +182,28 @@ def generated_with_sizes(name: str, *functions: ca.Function) -> str:
     return work_sizes(code) + code
 
 
+def library_around(kind: str, before: str, functions: Sequence[ca.Function], after: str) -> str:
+    """Return the path of the library of functions' C code within other text, from the cache.
+
+    Args:
+        kind: Begins the key in the cache.
+        before, after: C text around the functions, one at least.
+        functions: They; code after them finds the sizes of their work space as well.
+
+    Raises:
+        MissingTool: There is no compiler, or it fails.
+        UsageError: The functions call a library whose C code is missing.
+    """
+
+    def generate() -> str:
+        return f"{before}{generated_with_sizes('code', *functions)}\n{after}"
+
+    first, *others = functions
+    more = "".join((before, after, *(function.serialize() for function in others)))
+    key = cache_key(kind, first, more.encode())
+    return str(cached_library(key, generate, sources_beside(*functions)))
+
+
 def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:
     """Return the key of a compiled function in the cache; the same key means the same code."""
     digest = hashlib.sha256(b"\0".join((function.serialize().encode(), *more))).hexdigest()

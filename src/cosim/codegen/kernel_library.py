@@ -6,8 +6,7 @@ import casadi as ca
 
 from casadi_models.dae.hybrid import Hybrid
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated_with_sizes, sources_beside
-from cosim.codegen.compiler import cached_library
+from cosim.codegen.casadi_library import library_around
 from cosim.codegen.functions import dense
 from cosim.codegen.hybrid_laws import law_functions, law_sizes, law_tables
 from cosim.codegen.initialization import algebraic_function
@@ -29,12 +28,6 @@ class LawText(NamedTuple):
     functions: list[ca.Function]
     sizes: str
     tables: str
-
-    @property
-    def digest(self) -> bytes:
-        """What identifies it."""
-        texts = (self.sizes, self.tables, *(f.serialize() for f in self.functions))
-        return "".join(texts).encode()
 
 
 NO_LAWS = LawText(
@@ -77,9 +70,4 @@ def kernel_library(system: Hybrid) -> str:
     sizes = {"NX": dae.x.numel(), "NZ": dae.z.numel(), "NU": dae.u.numel(), "NC": dae.p.numel()}
     before = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + text.sizes
     after = solver_source("instants.h") + text.tables
-
-    def generate() -> str:
-        return f"{before}{generated_with_sizes('laws', *text.functions)}\n{after}"
-
-    key = cache_key("kernel", text.functions[0], text.digest, after.encode())
-    return str(cached_library(key, generate, sources_beside(*text.functions)))
+    return library_around("kernel", before, text.functions, after)

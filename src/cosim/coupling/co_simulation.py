@@ -46,6 +46,7 @@ from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.model.times import time_grid
+from cosim.series.samples import below
 from cosim.trajectory import Column, Event, Trajectory
 
 DEFAULT_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
@@ -135,7 +136,10 @@ class CoSimulation:
 
             step = settings.macro_step
             run, _, ranges = (self._accurate(task), None, None) if step is None else given(step)
-            run = replace(run, stats={**run.stats, "wall_time": perf_counter() - began})
+            small = below(run.columns, run.values, run.stats.get("accuracy", 0.0))
+            notes = "; ".join(filter(None, (run.stats.get("note"), small)))
+            stats = {**run.stats, "wall_time": perf_counter() - began}
+            run = replace(run, stats=stats | ({"note": notes} if notes else {}))
             if ranges:
                 inputs = [".".join(name) for name in self.wiring.inputs]
                 reject_instability(run, ranges, inputs, lambda shorter: given(shorter)[2])

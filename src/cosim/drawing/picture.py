@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from casadi_models.units import convert
 from cosim.arrays import Vector
-from cosim.colors import INVALID, INVALID_BODY
+from cosim.colors import GROUND, INVALID, INVALID_BODY
 from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera_for, scale_of
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
@@ -129,7 +129,7 @@ class Stage:
         for k in np.arange(-count, count + 1):
             lines.append(np.outer(np.full(81, i0 + k), a) + np.outer(j0 + fine, b))
             lines.append(np.outer(i0 + fine, a) + np.outer(np.full(81, j0 + k), b))
-        self._lines(axis, camera, cell * np.array(lines), "0.85", 0.5, 1)
+        self._lines(axis, camera, cell * np.array(lines), GROUND, 0.5, 1)
 
     def _paths(self, axis: Axes, camera: Camera, frame: int) -> None:
         for i, run in enumerate(self.runs):

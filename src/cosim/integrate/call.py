@@ -3,7 +3,7 @@
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext, redirect_stderr
+from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from functools import partial
 from time import perf_counter
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.host.progress import doing
+from cosim.host.recorded_errors import recorded_errors
 from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, Crossing, Engine, EngineBuffer, Filled, Left
 from cosim.text import Ending, EndKind
@@ -151,9 +152,9 @@ def call(
         u = np.tile(u, n)
     counts, filled = Counts(), Filled(False)
     began = perf_counter()
-    messages = io.StringIO()  # of SUNDIALS: the time and the step of a failure
-    recording = redirect_stderr(messages) if by_casadi else nullcontext()
-    with recording, interruptible(engine.library) as interrupts:
+    # SUNDIALS writes the time and the step of a failure
+    recording = recorded_errors() if by_casadi else nullcontext(io.StringIO())
+    with recording as messages, interruptible(engine.library) as interrupts:
         try:
             with doing("solving", partial(_written_share, states)):
                 filled = _evaluated(engine, (x0, z0, p, u), states, algebraics, left)

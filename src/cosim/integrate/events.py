@@ -73,23 +73,21 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         found = scaled_call(_with_shares(own, closer), solver, start)
         u = input_values(problem.dae, grid, start.values, problem.inputs)
         n = found.states.shape[1]
-        columns = found.states, found.algebraics, u[:, :n]
+        columns = found.states, found.algebraics, u[:, :n], start.values.p
         return Motion(problem.dae, grid[:n], *columns, found.counts, found.reason, found.solve_time)
 
     if not isinstance(solver, AdaptiveSolver):
         motion = attempt(None, problem.grid, np.empty(0))
-        return with_note_on_steps(motion, start.values.p)
+        return with_note_on_steps(motion)
     return followed_growth(
         lambda closer: attentive(
             partial(attempt, closer),
             problem.grid,
-            start.values.p,
             solver.tolerance.pair[0],
             with_conditions(problem.dae),
         ),
         lambda closer, steps: attempt(closer, np.unique(between(problem.grid, steps)), np.empty(0)),
         solver,
-        start.values.p,
     )
 
 
@@ -200,6 +198,7 @@ class _Course:
             states,
             algebraics,
             u,
+            self.values.p,
             Counts.total([reached.counts for reached in self.reached]),
             reason,
             sum(reached.solve_time for reached in self.reached),

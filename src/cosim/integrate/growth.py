@@ -35,7 +35,6 @@ def followed_growth(
     run: Callable[[Closer | None], Motion],
     look: Callable[[Closer | None, int], Motion],
     solver: AdaptiveSolver,
-    p: Vector,
 ) -> Motion:
     """Return the motion of a solver, or one with smaller tolerances where digits are lost.
 
@@ -43,12 +42,11 @@ def followed_growth(
         run: Integrates, the first part with smaller tolerances.
         look: The same, with several rows in each of so many steps.
         solver: The solver.
-        p: Parameters.
     """
     relative, absolute = solver.tolerance.pair
-    motion, refined = _with_digits(run, look, (relative, absolute), p)
+    motion, refined = _with_digits(run, look, (relative, absolute))
     ended = refined or motion.reason
-    growth = None if ended else growth_in(motion, p, relative, absolute)
+    growth = None if ended else growth_in(motion, relative, absolute)
     if growth is None:
         return motion
     sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
@@ -60,7 +58,7 @@ def followed_growth(
         return followed
     found = motion if followed.reason else followed
     helps = found is followed and not stays_suppressed(
-        _path(found, sizes, p), steps, relative, absolute
+        _path(found, sizes), steps, relative, absolute
     )
     return _noted(found, growth.note(closer, absolute, helps))
 
@@ -73,7 +71,6 @@ def _with_digits(
     run: Callable[[Closer | None], Motion],
     look: Callable[[Closer | None, int], Motion],
     tolerance: tuple[float, float],
-    p: Vector,
 ) -> tuple[Motion, bool]:
     """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
     motion = run(None)
@@ -88,7 +85,7 @@ def _with_digits(
     for trial in range(MOST_TRIALS + 1):
         if INTERRUPTED in (seen.reason, motion.reason):
             return replace(motion, reason=INTERRUPTED), False
-        trough = _trough(seen, sizes, tolerance, shares, p)
+        trough = _trough(seen, sizes, tolerance, shares)
         if trough is None or trial == MOST_TRIALS:
             break
         shares = trough.shares
@@ -135,36 +132,36 @@ def may_grow_again(dae: Dae) -> bool:
 
 
 def _trough(
-    motion: Motion, sizes: Vector, tolerance: tuple[float, float], shares: Vector, p: Vector
+    motion: Motion, sizes: Vector, tolerance: tuple[float, float], shares: Vector
 ) -> Trough | None:
     times = np.array([before.t for before, _ in motion.instants])
     which = np.array([before.x != after.x for before, after in motion.instants], dtype=bool)
     jumps = times, which.reshape(-1, len(sizes)).T
     return deepest_trough(
-        _path(motion, sizes, p), tolerance, shares, jumps=jumps, complete=not motion.reason
+        _path(motion, sizes), tolerance, shares, jumps=jumps, complete=not motion.reason
     )
 
 
-def growth_in(motion: Motion, p: Vector, relative: float, absolute: float) -> Growth | None:
+def growth_in(motion: Motion, relative: float, absolute: float) -> Growth | None:
     """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
     if not _fed_back(motion.dae).any():
         return None
-    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]), p)
+    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]))
     return suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
 
 
-def _path(motion: Motion, sizes: Vector, p: Vector) -> StatePath:
+def _path(motion: Motion, sizes: Vector) -> StatePath:
     """Return the path of a motion; unknowns and inputs are those of the row before a place."""
 
     def rates(times: Vector, states: Vector) -> Vector:
         z, u = _known(motion, times)
         at = replace(motion, time=times, states=states, algebraics=z, u=u)
-        return rates_at(at, slice(None), p)
+        return rates_at(at, slice(None))
 
     def slopes(time: float, states: Vector) -> Vector:
         z, u = _known(motion, np.array([time]))
         try:
-            found = derivatives_at(motion.dae, (), time, states, z, u, p)[2]
+            found = derivatives_at(motion.dae, (), time, states, z, u, motion.p)[2]
         except np.linalg.LinAlgError:
             return np.full((len(states), len(states)), np.nan)
         return found[: len(states), : len(states)]
@@ -230,7 +227,7 @@ def growing_starts(
     for i in np.flatnonzero(fastest * (straight - begin) > 1):
         at = np.array([begin, straight[i], end])
         line = x[:, [i]] + rate[:, [i]] * (at - begin)
-        motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], Counts())
-        path = _path(motion, sizes[:, i], p[:, i])
+        motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], p[:, i], Counts())
+        path = _path(motion, sizes[:, i])
         found[i] = growth_along(path, 0, 1, every, absolute) is not None
     return found

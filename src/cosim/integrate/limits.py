@@ -87,12 +87,11 @@ def _watched(dae: Dae) -> _Watched | None:
     )
 
 
-def first_left(motion: Motion, p: Vector, again: Again) -> dict[int, float]:
+def first_left(motion: Motion, again: Again) -> dict[int, float]:
     """Return when validity conditions whose margins have bounds are violated first, s.
 
     Args:
         motion: The motion.
-        p: Parameters.
         again: Returns it with further rows.
 
     Returns:
@@ -104,10 +103,10 @@ def first_left(motion: Motion, p: Vector, again: Again) -> dict[int, float]:
     watched = _watched(motion.dae)
     if watched is None or len(motion.time) < 2:
         return {}
-    if _holds(watched, motion, p):
+    if _holds(watched, motion):
         return dict.fromkeys(watched.limits, np.inf)
     try:
-        search = _Search(watched, p, float(np.ptp(motion.time)))
+        search = _Search(watched, motion.p, float(np.ptp(motion.time)))
     except MissingTool:  # without a compiler, rows show most
         return {}
     found, rows, last = search.left(motion), np.empty(0), None
@@ -119,7 +118,7 @@ def first_left(motion: Motion, p: Vector, again: Again) -> dict[int, float]:
     return dict(zip(watched.limits, found.times.tolist(), strict=True))
 
 
-def _holds(watched: _Watched, motion: Motion, p: Vector) -> bool:
+def _holds(watched: _Watched, motion: Motion) -> bool:
     """Return whether spans of what moves between close rows prove that the conditions hold."""
     t = motion.time
     steps = motion.counts.steps
@@ -140,7 +139,7 @@ def _holds(watched: _Watched, motion: Motion, p: Vector) -> bool:
         )
         spans = t[edges, None], (t[ends] - t[edges])[:, None], least - bend, most + bend
         every = zip(*spans, strict=True)
-        if all(call_on_arrays(buffer, [*own, p], [low]) and low.min() > 0 for own in every):
+        if all(call_on_arrays(buffer, [*own, motion.p], [low]) and low.min() > 0 for own in every):
             return True
     return False
 

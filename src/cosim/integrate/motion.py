@@ -39,7 +39,8 @@ class Motion:
     Attributes:
         dae: The model whose outputs the columns determine: with modes as further inputs.
         time: The grid, s, (n,); if an event ends the run, up to the time of that event.
-        states, algebraics, u: One column per time.
+        states, algebraics, u: One column per time; one of u if it is constant.
+        p: Parameters.
         counts: Numbers of steps and calls.
         reason: Why the run stopped early; empty if it did not.
         solve_time: Time of the solver, s.
@@ -54,6 +55,7 @@ class Motion:
     states: Vector
     algebraics: Vector
     u: Vector
+    p: Vector
     counts: Counts
     reason: Ending = Ending()  # noqa: RUF009 (a text, which nothing changes)
     solve_time: float | None = None
@@ -95,10 +97,10 @@ class Path(NamedTuple):
     others: Vector
 
     @staticmethod
-    def of(motion: Motion, p: Vector) -> "Path":
+    def of(motion: Motion) -> "Path":
         """Return the path of a motion through its rows and its instants."""
         motion = motion.with_sides()
-        rates = rates_at(motion, slice(None), p)
+        rates = rates_at(motion, slice(None))
         return Path(motion.time, motion.states, rates, np.vstack((motion.algebraics, motion.u)))
 
     @property
@@ -150,12 +152,12 @@ class Path(NamedTuple):
         return change, begin, end
 
 
-def rates_at(motion: Motion, rows: Vector | slice, p: Vector) -> Vector:
+def rates_at(motion: Motion, rows: Vector | slice) -> Vector:
     """Return dx/dt at rows of a motion, (nx, n), where the unknowns solve their equations."""
     t, x, z = motion.time[rows][None], motion.states[:, rows], motion.algebraics[:, rows]
     u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))[:, rows]
     if len(z):  # the solver's own are interpolated between its steps
         with suppress(RuntimeError):  # CasADi's factorization meets a singular matrix
-            solved = np.array(algebraic_function(motion.dae)(t, x, z, u, p))
+            solved = np.array(algebraic_function(motion.dae)(t, x, z, u, motion.p))
             z = np.where(np.isfinite(solved).all(axis=0), solved, z)
-    return np.array(equations(motion.dae)(t, x, z, u, p)[0])
+    return np.array(equations(motion.dae)(t, x, z, u, motion.p)[0])

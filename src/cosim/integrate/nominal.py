@@ -108,10 +108,11 @@ def in_nominal_values(
     return replace(problem, dae=scaled(problem.dae, nominal)), nominal
 
 
-def in_nominal_values_of_run(
+@cached_per_thread(32)
+def _scaled_engine(
     problem: Problem, solver: Solver, nominal: Nominal
-) -> tuple[Problem, Nominal, Vector]:
-    """Return the result of `in_nominal_values`, and further parameters for its engine.
+) -> tuple[Engine, Nominal, Vector]:
+    """Return an engine in scaled unknowns, their nominal values, and its further parameters.
 
     These parameters are the nominal values that follow from initial values, so that one compiled
     library serves all initial values.
@@ -120,11 +121,12 @@ def in_nominal_values_of_run(
     x = tuple(i for i, n in enumerate(Nominal.declared(dae).x) if nominal.x[i] != n)
     z = tuple(i for i, v in enumerate(dae.algebraics) if v.nominal == NOT_GIVEN)
     if solver.takes_nominal_values or not (x or z):
-        return *in_nominal_values(problem, solver, nominal), np.empty(0)
+        problem, nominal = in_nominal_values(problem, solver, nominal)
+        return engine_of(problem, solver), nominal, np.empty(0)
     known = Nominal(_one_at(nominal.x, x), _one_at(nominal.z, z))
     sized = _sized(scaled(dae, known), x, z)
     sizes = [*(nominal.x[i] for i in x), *(nominal.z[i] for i in z)]
-    return replace(problem, dae=sized), nominal, np.array(sizes)
+    return engine_of(replace(problem, dae=sized), solver), nominal, np.array(sizes)
 
 
 def _one_at(sizes: tuple[float, ...], which: tuple[int, ...]) -> tuple[float, ...]:
@@ -274,12 +276,3 @@ def in_own_time(
         if longest != solver.max_step:
             solver = replace(solver, max_step=longest)
     return replace(problem, times=shares.tobytes(), in_own_time=True), solver, (begin, length)
-
-
-@cached_per_thread(32)
-def _scaled_engine(
-    problem: Problem, solver: Solver, nominal: Nominal
-) -> tuple[Engine, Nominal, Vector]:
-    """Return an engine in scaled unknowns, their nominal values, and its further parameters."""
-    scaled_problem, sizes, parameters = in_nominal_values_of_run(problem, solver, nominal)
-    return engine_of(scaled_problem, solver), sizes, parameters

@@ -15,29 +15,11 @@ from cosim.codegen.initialization import algebraic_function
 from cosim.codegen.runge_kutta.lane_library import Watched, lane_outputs, processor_lanes
 from cosim.errors import UsageError
 from cosim.integrate.call import call_on_arrays, finite_rows
+from cosim.integrate.motion import Motion
 from cosim.memo import cached_per_thread
 from cosim.trajectory import Column
 
 _FEWEST_IN_LANES = 8  # times; for fewer, a library for lanes is not worth compiling
-
-
-@dataclass(frozen=True)
-class Solved:
-    """Result of a solver at n times, SI units.
-
-    Attributes:
-        time: Output times, s, (n,).
-        states: States, (nx, n).
-        guesses: Algebraic unknowns, as initial guesses for their equations, (nz, n).
-        u: Inputs, (nu, n), or (nu, 1) if they are constant.
-        p: Parameters, (np,).
-    """
-
-    time: Vector
-    states: Vector
-    guesses: Vector
-    u: Vector
-    p: Vector
 
 
 @dataclass(frozen=True)
@@ -58,56 +40,49 @@ class Observed:
     margins: Vector
 
 
-def observe(
-    dae: Dae,
-    solved: Solved,
-    places: tuple[int, ...],
-    *,
-    margins: bool,
-    compiled: bool,
-) -> Observed:
+def observe(motion: Motion, places: tuple[int, ...], *, margins: bool, compiled: bool) -> Observed:
     """Evaluate the recorded variables of a run, and its validity conditions.
 
     Args:
-        dae: The model.
-        solved: Result of the solver.
+        motion: Its motion; the algebraic unknowns are guesses for their equations.
         places: Positions of the recorded variables among `all_columns`.
         margins: Whether to evaluate the margins of the validity conditions.
         compiled: Whether the equations are compiled.
     """
-    n, nx = len(solved.time), len(dae.states)
+    dae, n, nx = motion.dae, len(motion.time), len(motion.dae.states)
     if not n:
         sizes = len(places), len(dae.algebraics), len(dae.limits)
         table, unknowns, none = (np.empty((0, size)) for size in sizes)
         return Observed(table, unknowns, 0, none)
     computed = max(places, default=0) >= nx
     if not (computed or margins or dae.algebraics):
-        return _states_alone(solved, places)
+        return _states_alone(motion, places)
     several = compiled and n >= _FEWEST_IN_LANES
     if several and (library := _lane_library(dae, limits_only=not computed)) is not None:
-        return _in_lanes(library, dae, solved, places, margins=margins)
-    return _one_by_one(dae, solved, places, margins=margins, compiled=compiled)
+        return _in_lanes(library, motion, places, margins=margins)
+    return _one_by_one(motion, places, margins=margins, compiled=compiled)
 
 
-def _states_alone(solved: Solved, places: tuple[int, ...]) -> Observed:
+def _states_alone(motion: Motion, places: tuple[int, ...]) -> Observed:
     """Return the result of `observe` for recorded states, where nothing has to be evaluated."""
-    rows = solved.states.T  # C-ordered, as solvers write them
+    rows = motion.states.T  # C-ordered, as solvers write them
     table, none = rows.take(np.array(places, dtype=np.int64), axis=1), np.empty((len(rows), 0))
     return Observed(table, none, finite_rows(rows), none)
 
 
 def _one_by_one(
-    dae: Dae, solved: Solved, places: tuple[int, ...], *, margins: bool, compiled: bool
+    motion: Motion, places: tuple[int, ...], *, margins: bool, compiled: bool
 ) -> Observed:
     """Return the result of `observe`, for any model."""
-    n, known = len(solved.time), len(dae.states) + len(dae.algebraics)
+    dae, n = motion.dae, len(motion.time)
+    known = len(dae.states) + len(dae.algebraics)
     function = _observer(dae, n, compiled)
     rows = np.empty((n, function.size1_out(0)))
-    u = np.broadcast_to(solved.u, (len(solved.u), n))
-    arguments = (solved.time, solved.states.T, solved.guesses.T, u.T, solved.p)
+    u = np.broadcast_to(motion.u, (len(motion.u), n))
+    arguments = (motion.time, motion.states.T, motion.algebraics.T, u.T, motion.p)
     if not call_on_arrays(function.buffer(), arguments, (rows,)):  # one singular row stops all
         _evaluate_rows(_observer(dae, 1, compiled), arguments, rows)
-    every = np.hstack((solved.states.T, rows))
+    every = np.hstack((motion.states.T, rows))
     checked = every[:, sorted({*range(known), *places})]
     not_finite = _first(~np.isfinite(checked).all(axis=1))
     own = every[:, every.shape[1] - len(dae.limits) :] if margins else np.empty((n, 0))
@@ -142,14 +117,14 @@ def _lane_library(dae: Dae, *, limits_only: bool) -> ctypes.CDLL | None:
 
 
 def _in_lanes(
-    library: ctypes.CDLL, dae: Dae, solved: Solved, places: tuple[int, ...], *, margins: bool
+    library: ctypes.CDLL, motion: Motion, places: tuple[int, ...], *, margins: bool
 ) -> Observed:
     """Return the result of `observe`, for explicit formulations."""
-    n = len(solved.time)
+    n = len(motion.time)
     table, first = np.empty((n, len(places))), np.empty(1, dtype=np.int64)
-    arguments = [solved.time, solved.states.T, solved.u.T, solved.p]
+    arguments = [motion.time, motion.states.T, motion.u.T, motion.p]
     arrays = [*map(np.ascontiguousarray, arguments)]  # a library has their addresses only
-    margin_table = np.empty((n, len(dae.limits) if margins else 0))
+    margin_table = np.empty((n, len(motion.dae.limits) if margins else 0))
     recorded = np.array(places, dtype=np.int64)
     library.lanes_outputs(
         Watched(

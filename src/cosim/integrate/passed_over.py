@@ -69,7 +69,7 @@ class Place:
         return with_surroundings(self.edges, _INNER)
 
 
-def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: Dae) -> Motion:
+def attentive(attempt: Attempt, grid: Vector, tolerance: float, dae: Dae) -> Motion:
     """Return the motion over output times whose steps pass over no term of time or one state.
 
     With validity conditions, it has rows where terms bend, too.
@@ -77,7 +77,6 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     Args:
         attempt: Integrates over output times, with steps that end at further times.
         grid: Output times, s.
-        p: Parameters.
         tolerance: Relative tolerance of the solver.
         dae: The equations with the conditions of events; see `with_conditions`.
     """
@@ -90,7 +89,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     passed = list[Place]()
     settled, narrow = list[Place](), list[Place]()
     for _ in range(_MOST_ROUNDS):
-        found = _apart(_found(dae, motion, p, steps), places)
+        found = _apart(_found(dae, motion, steps), places)
         new = [place for place in found if not place.is_narrow]
         narrow = [place for place in found if place.is_narrow] or narrow
         if motion.reason or not (passed or new):
@@ -100,7 +99,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
             passed = passed or new
             break
         rows = _inside(grid, [rows, *(place.times for place in new)])
-        divided = [_divided(motion, place, p, ends) for place in passed]
+        divided = [_divided(motion, place, ends) for place in passed]
         fewer, ends = ends, _inside(grid, [ends, *divided])
         if passed and not new and len(ends) == len(fewer):
             break
@@ -108,9 +107,7 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
         least = _EFFECT * tolerance * _sizes(motion)
         settled += [place for place in passed if _is_settled(before, motion, place, least)]
         passed = [
-            place
-            for place in places
-            if place not in settled and _is_passed(motion, place, p, least)
+            place for place in places if place not in settled and _is_passed(motion, place, least)
         ]
     searched = motion
     if searched.reason == INTERRUPTED:
@@ -130,17 +127,17 @@ def attentive(attempt: Attempt, grid: Vector, p: Vector, tolerance: float, dae: 
     return replace(motion, note=f"{_passing(passed[0])}; set max_step")
 
 
-def unquestioned(motion: Motion, p: Vector, dae: Dae) -> Motion | None:
+def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
     """Return a complete motion as `attentive` does, if its rows show that all is seen; else None.
 
     Args:
         motion: The first motion that `attentive` looks at.
-        p, dae: See `attentive`.
+        dae: See `attentive`.
     """
     if not _has_terms(dae):
         return motion
     steps = _counted(motion)
-    if len(motion.time) < 2 * steps or _found(dae, motion, p, steps):
+    if len(motion.time) < 2 * steps or _found(dae, motion, steps):
         return None
     return _with_note_on_unbounded(dae, motion)
 
@@ -186,10 +183,10 @@ def _along(terms: Terms, term: int, p: Vector, path: Path) -> Vector:
     return terms.value(term, p)(_moved(terms, path))
 
 
-def _found(dae: Dae, motion: Motion, p: Vector, steps: int) -> list[Place]:
+def _found(dae: Dae, motion: Motion, steps: int) -> list[Place]:
     """Return where terms bend within a part of an average step."""
     names = _moving(dae)
-    path, found = Path.of(motion, p), list[Place]()
+    path, p, found = Path.of(motion), motion.p, list[Place]()
     for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
         for term, edges in _bends(terms, turned, dae, p, steps):
@@ -227,27 +224,27 @@ def _with_note_on_unbounded(dae: Dae, motion: Motion, remedy: str = "max_step") 
     return replace(motion, note=text)
 
 
-def with_note_on_steps(motion: Motion, p: Vector) -> Motion:
+def with_note_on_steps(motion: Motion) -> Motion:
     """Return the motion of equal steps, with a note if a term changes within a part of one."""
     if len(motion.time) < 2 or motion.reason:
         return motion
     steps = _counted(motion)
-    found = _found(motion.dae, motion, p, steps) if _has_terms(motion.dae) else []
+    found = _found(motion.dae, motion, steps) if _has_terms(motion.dae) else []
     if not found:
         return _with_note_on_unbounded(motion.dae, motion, "a smaller step_size")
     return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
 
 
-def finer_than_steps(motion: Motion, p: Vector, inputs: InputSeries | None) -> str:
+def finer_than_steps(motion: Motion, inputs: InputSeries | None) -> str:
     """Return which table, or rows of inputs, has more values than a motion has equal steps."""
     begin, end = motion.time[[0, -1]]
     if inputs is not None:
         rows = (begin < inputs.time) & (inputs.time < end)
         if rows.sum() > _counted(motion):
             return f"steps pass over rows of {', '.join(inputs.names)}"
-    path = Path.of(motion, p)
+    path = Path.of(motion)
     for terms in terms_of(motion.dae):
-        x, knots = _moved(terms, path), _knots(motion.dae, terms, p)
+        x, knots = _moved(terms, path), _knots(motion.dae, terms, motion.p)
         if ((x.min() < knots) & (knots < x.max())).sum() > _counted(motion):
             return f"steps pass over knots of a table of {_moving(motion.dae)[terms.moving]}"
     return ""
@@ -339,13 +336,12 @@ def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
     return apart(list(zip(at[:-1][inside].tolist(), at[1:][inside].tolist(), strict=True)))
 
 
-def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
+def _is_passed(motion: Motion, place: Place, least: Vector) -> bool:
     """Return whether the states in a place do not change as the integrals of their rates tell.
 
     Args:
         motion: With rows at the times of the place.
         place: The place.
-        p: Parameters.
         least: Differences of the states that matter, (nx,).
     """
     times = place.times
@@ -358,7 +354,7 @@ def _is_passed(motion: Motion, place: Place, p: Vector, least: Vector) -> bool:
         if len(at) < 5:
             continue
         t, x = motion.time[at], motion.states[:, at]
-        rates = rates_at(motion, at, p)
+        rates = rates_at(motion, at)
         fine, coarse = _simpson(t, rates)[:, 1::2], _simpson(t[::2], rates[:, ::2])
         off = np.abs(x[:, 4::4] - x[:, :1] - fine)
         if (off > np.maximum(least[:, None], _CERTAIN * np.abs(fine - coarse))).any():
@@ -383,12 +379,12 @@ def _simpson(t: Vector, rows: Vector) -> Vector:
     return np.asarray((sum(parts) * (a + b) / 6).cumsum(axis=1))
 
 
-def _divided(motion: Motion, place: Place, p: Vector, ends: Vector) -> Vector:
+def _divided(motion: Motion, place: Place, ends: Vector) -> Vector:
     """Return times at which steps must end for a solver to see a term in a place, s."""
     t = place.times
     known: Vector = ends[(t[0] <= ends) & (ends <= t[-1])]
     if len(known) > _MOST_ENDS:
         return known
-    values = place.values(Path.of(motion, p).at(t))
+    values = place.values(Path.of(motion).at(t))
     middles = (known[:-1] + known[1:]) / 2  # those at the ends were too few
     return np.union1d(parted(t, values, float(np.ptp(values))), middles)

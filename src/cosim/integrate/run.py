@@ -28,7 +28,7 @@ from cosim.integrate.limits import Again, first_left
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
-from cosim.integrate.outputs import Observed, Solved, all_columns, observe
+from cosim.integrate.outputs import Observed, all_columns, observe
 from cosim.integrate.passed_over import finer_than_steps, rows_between
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solvers import SOLVERS, with_largest_step
@@ -68,7 +68,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck,
     if n == 1 or not (dae.states or hybrid(dae)):
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
         u = input_values(dae, grid, first, problem.inputs)
-        motion = Motion(dae, grid, states, guesses, u, Counts())
+        motion = Motion(dae, grid, states, guesses, u, first.p, Counts())
         return motion, StepCheck(), lambda _: motion
     found = integrate(problem, solver, start)
 
@@ -102,7 +102,7 @@ def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
 
 
 def _evaluated(
-    prepared: Prepared, motion: Motion, p: Vector, check: StepCheck, again: Again
+    prepared: Prepared, motion: Motion, check: StepCheck, again: Again
 ) -> tuple[Vector, int, Ending, list[Breach]]:
     """Evaluate the recorded variables while they are finite and, if requested, valid.
 
@@ -116,21 +116,16 @@ def _evaluated(
     checked = prepared.checks_validity
     watched = with_singularity_margin(dae) if checked and not problem.project else dae
     watches_singularity = watched is not dae
-    solved = Solved(grid[:n], motion.states, motion.algebraics, motion.u, p)
     seen = observe(
-        watched,
-        solved,
-        prepared.places,
-        margins=checked,
-        compiled=problem.compiled,
+        replace(motion, dae=watched), prepared.places, margins=checked, compiled=problem.compiled
     )
     seen.table.setflags(write=False)  # a result need not copy it
     if seen.first_not_finite < n:
-        n, name = seen.first_not_finite, _not_finite(dae, solved, seen, prepared.places)
+        n, name = seen.first_not_finite, _not_finite(motion, seen, prepared.places)
         reason = reason or Ending(f"{name} is not finite at {grid[n]:g} s")
     found = list[Breach]()
     if watches_singularity:
-        singular = first_singular_configuration(dae, solved, seen, n)
+        singular = first_singular_configuration(motion, seen, n)
         if singular is not None and dae.has_conditioned_multipliers:
             n, why = singular
             reason = Ending(why, EndKind.SINGULAR, PROJECTION)
@@ -141,7 +136,7 @@ def _evaluated(
         found.append(coarse)
     if checked:
         ended = motion.reason == INTERRUPTED  # a further integration would last
-        found += breaches(dae, solved, seen, n, {} if ended else first_left(motion, p, again))
+        found += breaches(motion, seen, n, {} if ended else first_left(motion, again))
         found.sort(key=lambda breach: (breach.position, breach != coarse, breach.reason.time))
         if found and prepared.on_invalid is OnInvalid.STOP:
             n, reason = found[0].position, Ending(found[0].reason, EndKind.INVALID)
@@ -155,14 +150,15 @@ def _evaluated(
     return seen.table, n, reason, found
 
 
-def _both_sides(prepared: Prepared, motion: Motion, p: Vector) -> Iterator[Event]:
+def _both_sides(prepared: Prepared, motion: Motion) -> Iterator[Event]:
     """Yield events with all that is recorded, and the states, before and after each."""
     events = motion.events
     every = [side for pair in motion.instants for side in pair]
     x, z = (np.array(rows).T for rows in ([side.x for side in every], [side.z for side in every]))
     u = np.array([np.concatenate((side.u, side.modes)) for side in every]).T
-    solved = Solved(np.array([side.t for side in every]), x, z, u, p)
-    seen = observe(motion.dae, solved, prepared.places, margins=False, compiled=False)
+    time = np.array([side.t for side in every])
+    sides_alone = replace(motion, time=time, states=x, algebraics=z, u=u)
+    seen = observe(sides_alone, prepared.places, margins=False, compiled=False)
     names = [c.name for c in prepared.columns] + [v.name for v in prepared.problem.dae.states]
     rows, sides = 2 * np.array([event.instant for event in events]), list[list[list[float]]]()
     for i, states in enumerate(([e.before for e in events], [e.after for e in events])):
@@ -173,16 +169,16 @@ def _both_sides(prepared: Prepared, motion: Motion, p: Vector) -> Iterator[Event
         )
 
 
-def _not_finite(dae: Dae, solved: Solved, seen: Observed, places: tuple[int, ...]) -> str:
+def _not_finite(motion: Motion, seen: Observed, places: tuple[int, ...]) -> str:
     """Return the name of the first variable that is not finite at the first such time."""
     row = np.concatenate(
-        (solved.states[:, seen.first_not_finite], seen.unknowns[seen.first_not_finite])
+        (motion.states[:, seen.first_not_finite], seen.unknowns[seen.first_not_finite])
     )
     numbers = dict(enumerate(row.tolist())) | dict(
         zip(places, seen.table[seen.first_not_finite].tolist(), strict=True)
     )
     place = min(place for place, value in numbers.items() if not isfinite(value))
-    return all_columns(dae)[place].name
+    return all_columns(motion.dae)[place].name
 
 
 def _step_check(
@@ -200,7 +196,7 @@ def _step_check(
     n = found.states.shape[1] if finer.reason else min(len(found.time), finer.states.shape[1])
     grid, states = found.time[:n], (found.states[:, :n], finer.states[:, :n])
     check = step_check(problem.dae, grid, *states, step)
-    cause = finer_than_steps(found, start.values.p, problem.inputs) if check != StepCheck() else ""
+    cause = finer_than_steps(found, problem.inputs) if check != StepCheck() else ""
     return check._replace(note="; ".join(filter(None, (check.note, cause)))), Ending()
 
 
@@ -311,10 +307,10 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     with doing(name):
         motion, check, again = _integrated(prepared, values)
         try:
-            motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
+            motion, recorded, reason = evaluated(prepared, motion, check, again)
         except KeyboardInterrupt:  # what was computed is shown
             motion.reason = INTERRUPTED
-            motion, recorded, reason = evaluated(prepared, motion, values.p, check, again)
+            motion, recorded, reason = evaluated(prepared, motion, check, again)
         times = perf_counter() - began, time_compiling() - compiling
         found = trajectory_of(prepared, motion, recorded, values, times)
     if reason == INTERRUPTED:
@@ -327,7 +323,6 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
 def evaluated(
     prepared: Prepared,
     motion: Motion,
-    p: Vector,
     check: StepCheck,
     again: Again,
 ) -> tuple[Motion, Recorded, Ending]:
@@ -336,11 +331,10 @@ def evaluated(
     Args:
         prepared: The plan of the run.
         motion: Its motion.
-        p: Parameters.
         check: What half of its fixed steps tells.
         again: Returns it with further rows.
     """
-    table, n, reason, invalid = _evaluated(prepared, motion, p, check, again)
+    table, n, reason, invalid = _evaluated(prepared, motion, check, again)
     if n < motion.states.shape[1]:  # what happened after the last good row is not a result
         events = [e for e in motion.events if n and e.time <= motion.time[n - 1]]
         motion = replace(motion, events=events, stop="")
@@ -401,7 +395,7 @@ def trajectory_of(
         recorded.status,
         drawing=drawing,
         numbers=dict(numbers),
-        events=tuple(_both_sides(prepared, motion, values.p)) if motion.events else (),
+        events=tuple(_both_sides(prepared, motion)) if motion.events else (),
     )
 
 

@@ -1,6 +1,6 @@
 """Checks of a run: validity conditions, step sizes, and singular configurations."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -9,18 +9,21 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from casadi_models.dae.invariants import CONSTRAINT_CONDITION, SINGULAR_CONDITION
-from cosim.arrays import Vector
+from cosim.arrays import Integers, Vector
 from cosim.codegen.functions import equations
 from cosim.codegen.runge_kutta.tableau import DIVERGED
 from cosim.errors import InitialConditionError
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.modes import hybrid
-from cosim.integrate.outputs import Observed, Solved
+from cosim.integrate.motion import Motion
+from cosim.integrate.outputs import Observed
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
 from cosim.text import Violation, violated
 
+SUSPECTED = 3.0  # intervals: most that lines through the neighbors need to reach 0 from both sides
+_POINTS, _ZOOMS = 33, 8  # to the rounding of time
 STEP_DOUBT = 1e-2  # largest change of a state when a fixed step is halved, in nominal values
 
 
@@ -31,83 +34,104 @@ class Breach(NamedTuple):
     reason: Violation
 
 
-def breaches(
-    dae: Dae, solved: Solved, seen: Observed, n: int, left: Mapping[int, float]
-) -> list[Breach]:
+def breaches(motion: Motion, seen: Observed, n: int, left: Mapping[int, float]) -> list[Breach]:
     """Return when each validity condition of the model is violated for the first time.
 
     A violation is located between output times, where the margin of its condition passes 0 or may
     do so and return, on the cubic through the states and their rates.
 
     Args:
-        dae: The model.
-        solved: Result of the solver.
+        motion: The motion.
         seen: Its margins.
         n: Number of output times to check.
         left: When conditions are violated first, s, by their positions, as far as that is known
             better.
     """
-    found = list[Breach]()
-    for i, (_, meaning) in enumerate(dae.limits):
-        if i in left:
-            k = int(solved.time[:n].searchsorted(left[i]))
-            if k < n:
-                found.append(Breach(k, Violation(left[i], violated(meaning))))
-            continue
-        margin = seen.margins[:n, i]
-        for k in _doubtful(margin):
-            when = float(solved.time[0]) if k < 0 else _first_outside(dae, solved, seen, i, k)
-            if when is not None:
-                found.append(Breach(k + 1, Violation(when, violated(meaning))))
-                break
+    found, time = list[Breach](), motion.time[:n]
+    for i, (_, meaning) in enumerate(motion.dae.limits):
+        when = left[i] if i in left else _first_left(motion, seen, n, i)
+        k = int(time.searchsorted(when))
+        if k < n:
+            found.append(Breach(k, Violation(when, violated(meaning))))
     return found
 
 
-def _doubtful(margin: Vector) -> list[int]:
-    """Return the intervals in which a margin may be 0 or less, up to the first that ends so.
+def _first_left(motion: Motion, seen: Observed, n: int, limit: int) -> float:
+    """Return when a margin is not positive first, s; infinite if it is in all of n rows."""
+    time, margin = motion.time[:n], seen.margins[:n, limit]
+    if n and not margin[0] > 0:
+        return float(time[0])
+    for k in _doubtful(time, margin).tolist():
+        law = _margin(motion.dae, limit)
+        least, when = _least(law, motion, seen, k, slice(k, k + 2), stops=True)
+        if not least > 0:
+            return when
+        if not margin[k + 1] > 0:
+            return float(time[k + 1])
+    return np.inf
 
-    Args:
-        margin: At the output times, (n,); what is not a number is not valid.
 
-    Returns:
-        Positions of their begins; -1 for the first output time itself.
+def _doubtful(time: Vector, margin: Vector) -> Integers:
+    """Return the intervals in which a margin, (n,), may be 0 or less, by their begins.
+
+    These end so, or are beside a least value that is near 0, or the margin may reach 0 in them and
+    rise again, as |t| does at t = 0. What is not a number is not valid.
     """
-    outside = ~(margin > 0)
-    first = int(np.argmax(outside)) if outside.any() else len(margin)
-    if first == 0:
-        return [-1] if len(margin) else []
-    inside = margin[:first]
-    falls = np.diff(inside) < 0
+    ends = np.flatnonzero(~(margin[1:] > 0))
+    falls = np.diff(margin) < 0
     turns = 1 + np.flatnonzero(falls[:-1] & ~falls[1:])  # rows with least values
-    before, least, after = inside[turns - 1], inside[turns], inside[turns + 1]
+    before, least, after = margin[turns - 1], margin[turns], margin[turns + 1]
     # a parabola through three rows reaches at most so far below the least of them
     near = turns[least <= (before - least) + (after - least)]
-    last = [first - 1] if first < len(margin) else []
-    return sorted({*(near - 1).tolist(), *near.tolist(), *last})
+    return np.unique(np.concatenate((ends, near - 1, near, _pointed(time, margin))))
 
 
-def _first_outside(dae: Dae, solved: Solved, seen: Observed, limit: int, k: int) -> float | None:
-    """Return when a margin is 0 first in an interval between output times, s; None if it is not."""
-    law, ends = _margin(dae, limit), slice(k, k + 2)
-    u = np.broadcast_to(solved.u, (len(solved.u), len(solved.time)))[:, ends]
-    states, unknowns, time = solved.states[:, ends], seen.unknowns[ends].T, solved.time[ends]
-    rates = np.array(equations(dae)(time[None], states, unknowns, u, solved.p)[0])
-    curve = _curve(time - time[0], states, rates)
-    low, high = 0.0, float(time[1] - time[0])
-    for _ in range(2 * _ZOOMS):  # to the rounding of time
+def _pointed(time: Vector, margin: Vector) -> Integers:
+    """Return the intervals in which lines through their neighbors reach 0 from both sides.
+
+    The first and the last interval have a neighbor on one side only, which is used for both sides.
+    """
+    if len(time) < 3:
+        return np.empty(0, dtype=np.int64)
+    length, falls = time[1:] - time[:-1], margin[:-1] - margin[1:]
+    with np.errstate(divide="ignore", invalid="ignore"):  # at a time that occurs twice
+        slope = falls / length
+        before = np.concatenate((-slope[1:2], slope[:-1]))
+        after = np.concatenate((-slope[1:], slope[-2:-1]))
+        reach = margin[:-1] / before + margin[1:] / after
+    return np.flatnonzero((before > 0) & (after > 0) & (reach <= SUSPECTED * length))
+
+
+def _least(
+    law: ca.Function, motion: Motion, seen: Observed, k: int, rows: slice, *, stops: bool
+) -> tuple[float, float]:
+    """Return the least margin in an interval along the curve through some rows, and when, s.
+
+    Args:
+        law: The margin.
+        motion: The motion.
+        seen: Its algebraic unknowns.
+        k: The interval, whose unknowns and inputs are those at its start.
+        rows: Those through whose states and rates the curve goes.
+        stops: Whether the first margin that is not positive is wanted, if there is one. What is not
+            a number is such a margin then, and is passed over otherwise.
+    """
+    start, inputs = motion.time[k], np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
+    time, states, z = motion.time[rows], motion.states[:, rows], seen.unknowns[rows].T
+    rates = equations(motion.dae)(time[None], states, z, inputs[:, rows], motion.p)[0]
+    curve = _curve(time - start, states, np.array(rates))
+    low, high = 0.0, float(motion.time[k + 1] - start)
+    for _ in range(_ZOOMS):
         s = np.linspace(low, high, _POINTS)
         x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
-        margin = np.array(law((time[0] + s)[None], x, unknowns[:, 0], u[:, 0], solved.p)).ravel()
-        outside = ~(margin > 0)
-        if outside.any():
-            first = int(np.argmax(outside))
-            low, high = float(s[max(first - 1, 0)]), float(s[first])
-        else:
-            least = int(np.argmin(margin))
-            low, high = float(s[max(least - 1, 0)]), float(s[min(least + 1, _POINTS - 1)])
-    if outside.any():
-        return float(time[0]) + high
-    return float(time[1]) if not seen.margins[k + 1, limit] > 0 else None
+        at = (start + s)[None], x, seen.unknowns[k], inputs[:, k], motion.p
+        margins = np.array(law(*at)).ravel()
+        margins = np.where(np.isnan(margins), -np.inf if stops else np.inf, margins)
+        outside = margins <= 0
+        ends = stops and bool(outside.any())
+        i = int(np.argmax(outside) if ends else np.argmin(margins))
+        low, high = float(s[max(i - 1, 0)]), float(s[i if ends else min(i + 1, _POINTS - 1)])
+    return float(margins[i]), float(start) + float(s[i])
 
 
 @cached_per_thread(32)
@@ -202,8 +226,6 @@ def inspect_start(dae: Dae) -> Inspection:
     return Inspection(tuple(found[:n]), tuple(found[n:]))
 
 
-SUSPECTED = 3.0  # intervals: most that lines through the neighbors need to reach 0 from both sides
-_POINTS, _ZOOMS = 33, 4
 _COARSE = 1.5  # of the model's own output interval, which resolves the branches of its motion
 _MOST_TIMES = 20_000  # at which a run is checked
 
@@ -257,100 +279,38 @@ def _whole_steps(steps: float, pieces: int) -> int:
     return next(n for n in range(min(pieces, count), 0, -1) if count % n == 0)
 
 
-class SingularConfiguration(NamedTuple):
-    """A singular configuration between two output times, or at one.
-
-    Attributes:
-        position: Position of the output time before it.
-        when: Its time, s.
-        distance: Reciprocal condition number of the constraints at that time.
-    """
-
-    position: int
-    when: float
-    distance: float
-
-
 PROJECTION = 'pass it with drift_control="projection" (--drift-control projection)'
 
 
-def first_singular_configuration(dae: Dae, solved: Solved, seen: Observed, n: int) -> Breach | None:
+def first_singular_configuration(motion: Motion, seen: Observed, n: int) -> Breach | None:
     """Return how many output times lie before the first singular configuration, and a message.
 
     Args:
-        dae: The model.
-        solved: Result of the solver.
+        motion: The motion.
         seen: Its margins; the last one is that of `with_singularity_margin`.
         n: Number of output times to check.
 
     Returns:
         None if no configuration is singular.
     """
-    time, states, unknowns = solved.time[:n], solved.states[:, :n], seen.unknowns[:n].T
-    inputs, distance = solved.u[:, :n], seen.margins[:n, -1]
-    every = singular_configurations(dae, time, states, unknowns, inputs, solved.p, distance)
-    first = next(every, None)
-    if first is None:
+    dae, time, distance = motion.dae, motion.time[:n], seen.margins[:n, -1]
+    for k in _doubtful(time, distance - 1 / SINGULAR_CONDITION).tolist():
+        law = _margin(with_singularity_margin(dae), -1)
+        # also along the motion before and after, in case the solver changed the branch between
+        parts = slice(k, k + 2), slice(max(0, k - 2), k + 1), slice(k + 1, min(n, k + 4))
+        along = (_least(law, motion, seen, k, rows, stops=False) for rows in parts)
+        nearest, when = min(*along, (float(distance[k + 1]), float(time[k + 1])))
+        if nearest * SINGULAR_CONDITION < 1 and time[0] < when < time[-1]:
+            break
+    else:
         return None
     text = (
-        f"singular configuration at {first.when:.4g} s ({CONSTRAINT_CONDITION} "
-        f"{1 / max(first.distance, 1e-16):.0e}), where the motion has several continuations"
+        f"singular configuration at {when:.4g} s ({CONSTRAINT_CONDITION} "
+        f"{1 / max(nearest, 1e-16):.0e}), where the motion has several continuations"
     )
     if not dae.has_conditioned_multipliers:
         text += "; use a formulation with multipliers"
-    return Breach(first.position + 1, Violation(first.when, text, text))
-
-
-def singular_configurations(
-    dae: Dae, time: Vector, states: Vector, algebraics: Vector, u: Vector, p: Vector, rank: Vector
-) -> Iterator[SingularConfiguration]:
-    """Yield the singular configurations of a run in their order; of an interval, its start.
-
-    Args:
-        dae: The model.
-        time: Output times, s, (n,).
-        states, algebraics, u: Values at these times, n columns each; one of u if it is constant.
-        p: Parameters.
-        rank: Margin of `with_singularity_margin` at these times, (n,).
-    """
-    n, singular = len(time), rank * SINGULAR_CONDITION < 1
-    suspects = {*_suspects(time, rank), *(np.flatnonzero(singular[1:]).tolist())}
-    if not suspects:
-        return
-    law = _margin(with_singularity_margin(dae), -1)
-    u, last = np.broadcast_to(u, (len(u), n)), -2
-    for k in sorted(suspects):
-        # also along the motion before and after, in case the solver changed the branch between
-        parts = [(k, k + 2), (max(0, k - 2), k + 1), (k + 1, min(n, k + 4))]
-        found = [(float(rank[k + 1]), float(time[k + 1]))]
-        for begin, end in parts:
-            at = slice(begin, end)
-            end_values = (time[at], states[:, at], algebraics[:, at], u[:, at])
-            rates = np.array(equations(dae)(end_values[0][None], *end_values[1:], p)[0])
-            curve = _curve(time[at] - time[k], states[:, at], rates)
-            found.append(_closest(law, curve, time[k : k + 2], algebraics[:, k], u[:, k], p))
-        distance, when = min(found)
-        if distance * SINGULAR_CONDITION < 1 and time[0] < when < time[-1]:
-            if k > last + 1:
-                yield SingularConfiguration(k, when, distance)
-            last = k
-
-
-def _suspects(time: Vector, rank: Vector) -> list[int]:
-    """Return the intervals in which a sequence may reach 0 and rise again, as |t| does at t = 0.
-
-    The first and the last interval have a neighbor on one side only, which is used for both sides.
-    """
-    if len(time) < 3:
-        return []
-    length, falls = time[1:] - time[:-1], rank[:-1] - rank[1:]
-    with np.errstate(divide="ignore", invalid="ignore"):  # at a time that occurs twice
-        slope = falls / length
-        before = np.concatenate((-slope[1:2], slope[:-1]))
-        after = np.concatenate((-slope[1:], slope[-2:-1]))
-        reach = rank[:-1] / before + rank[1:] / after
-    touched = (before > 0) & (after > 0) & (reach <= SUSPECTED * length)
-    return [int(k) for k in np.flatnonzero(touched)]
+    return Breach(k + 1, Violation(when, text, text))
 
 
 def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
@@ -360,21 +320,3 @@ def _curve(time: Vector, states: Vector, rates: Vector) -> Vector:
     slopes = powers * time[:, None] ** np.maximum(powers - 1, 0)
     both = np.vstack((values, slopes)), np.hstack((states, rates)).T
     return np.asarray(np.linalg.solve(*both), dtype=float)
-
-
-def _closest(
-    law: ca.Function, curve: Vector, span: Vector, z: Vector, u: Vector, p: Vector
-) -> tuple[float, float]:
-    """Return the least distance from a singular configuration along a curve, and its time, s."""
-    low, high = 0.0, float(span[1] - span[0])
-    best, when = np.inf, 0.0
-    for _ in range(_ZOOMS):
-        s = np.linspace(low, high, _POINTS)
-        x: Vector = (s[:, None] ** np.arange(len(curve)) @ curve).T
-        distances = np.array(law((span[0] + s)[None], x, z, u, p)).ravel()
-        distances = np.where(np.isfinite(distances), distances, np.inf)
-        i = int(np.argmin(distances))
-        best, when = float(distances[i]), float(s[i])
-        width = (high - low) / (_POINTS - 1)
-        low, high = max(low, when - width), min(high, when + width)
-    return best, float(span[0]) + when

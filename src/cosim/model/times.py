@@ -13,6 +13,7 @@ from cosim.model.values import number
 
 LARGEST_TABLE = 8e9  # of a table of results
 _NEAR = 1e-9  # relative distance of times that masters take as one
+_LONGER = 1e-2  # intervals: by so much the last one is longer rather than a rest follows
 
 
 def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -> Vector:
@@ -22,7 +23,7 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
 
     Args:
         start, stop: First and last output time, s.
-        interval: Distance of the times, s; the last one may be shorter.
+        interval: Distance of the times, s; the last one may be shorter, or longer by a hundredth.
         numbers: Numbers per output time, to reject results that do not fit into memory.
 
     Raises:
@@ -41,7 +42,7 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
             f"numbers, {size / 1e9:.3g} GB; give a larger one"
         )
     whole = round(count)
-    if not whole or abs(count - whole) > 1e-6 * max(1.0, count):
+    if not whole or abs(count - whole) > min(1e-6 * max(1.0, count), _LONGER):
         whole = int(count) + 1
     grid = start + interval * np.arange(whole + 1)
     grid[-1] = stop

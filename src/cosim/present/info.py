@@ -1,7 +1,7 @@
 """Info: facts about a model, a scene or an FMU, and its variables with their start values."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
@@ -64,14 +64,17 @@ class Info:
         """Return everything as text, in lines of up to `width` letters."""
         wide = max(11, *map(len, self.facts))
         parts = ["\n".join(f"{key:{wide}}  {value}" for key, value in self.facts.items())]
+        parts += [f"{title}\n{text_table(rows, width=width)}" for title, rows in self._shown()]
+        return "\n\n".join(parts)
+
+    def _shown(self) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+        """Yield the title and the rows of each table that has any."""
         for key, rows in self.tables.items():
             if rows:
-                table = text_table([_shown_row(row) for row in rows], width=width)
-                parts.append(f"{_TITLES.get(key, key)}\n{table}")
+                yield _TITLES.get(key, key), [_shown_row(row) for row in rows]
         if self.limits:
-            rows = [{"at the start": margin, "meaning": text} for margin, text in self.limits]
-            parts.append(f"{_TITLES['limits']}\n{text_table(rows, width=width)}")
-        return "\n\n".join(parts)
+            margins = [{"at the start": margin, "meaning": text} for margin, text in self.limits]
+            yield _TITLES["limits"], margins
 
     def __str__(self) -> str:
         return self.text()
@@ -84,10 +87,7 @@ class Info:
 
     def _repr_html_(self) -> str:
         facts = html_table([{"of": key, "is": value} for key, value in self.facts.items()])
-        tables = (
-            html_table([_shown_row(r) for r in rows], k) for k, rows in self.tables.items() if rows
-        )
-        return facts + "".join(tables)
+        return facts + "".join(html_table(rows, title) for title, rows in self._shown())
 
 
 def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:

@@ -226,14 +226,8 @@ def uncontrolled(
         relative: Relative tolerance (1).
         absolute: Absolute tolerances, SI, of shape () or (states,).
     """
-    size = np.abs(values)
-    peaks = size.max(axis=0, initial=0.0)
-    rounding = ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
-    limits = np.broadcast_to(np.asarray(absolute) / np.sqrt(relative), peaks.shape)
-    found = []
-    for column, peak, limit in zip(columns, peaks, limits, strict=True):
-        if column.nominal == NOT_GIVEN and rounding < peak < limit:
-            found.append(f"{column.name} (at most {peak:.1g})")
+    limits = np.asarray(absolute) / np.sqrt(relative)
+    found = _smaller(columns, values, limits)
     if not found:
         return ""
     many = len(found) > 1
@@ -241,3 +235,27 @@ def uncontrolled(
         f"the error control leaves most digits of {', '.join(found)} open, since the nominal value "
         f"of {'each' if many else 'it'} is 1; give nominal values, or a smaller absolute_tolerance"
     )
+
+
+def below(columns: Sequence[Column], values: Vector, accuracy: float) -> str:
+    """Return which variables, (times, variables), an accuracy says nothing of; "" if none."""
+    found = _smaller(columns, values, accuracy)
+    if not found:
+        return ""
+    return (
+        f"the accuracy is more than all values of {', '.join(found)}, with the nominal value 1; "
+        "give nominal values"
+    )
+
+
+def _smaller(columns: Sequence[Column], values: Vector, limits: ArrayLike) -> list[str]:
+    """Name what has no nominal value, and stays below a limit, but above rounding of the others."""
+    peaks = np.abs(values).max(axis=0, initial=0.0)
+    rounding = ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
+    return [
+        f"{column.name} (at most {peak:.1g})"
+        for column, peak, limit in zip(
+            columns, peaks, np.broadcast_to(limits, peaks.shape), strict=True
+        )
+        if column.nominal == NOT_GIVEN and rounding < peak < limit
+    ]

@@ -197,3 +197,15 @@ def test_display_unit_whose_factor_is_not_that_of_its_name_is_found(tmp_path, ex
     edit = set_attributes("UnitDefinitions/Unit[@name='rad']/DisplayUnit", factor="60")
     path = with_description(own, tmp_path / "a.fmu", edit)
     assert {(f.level, f.rule) for f in {*examine(path)} - {*examine(own)}} == {(WRONG, "unit")}
+
+
+def test_output_that_is_no_number_hides_no_violated_bound(tmp_path):
+    body = (
+        "fmi2Status s = CALL; fmi2ValueReference r = REF(time); double now; "
+        f"inner_fmi2GetReal(c, &r, 1, &now); {ALL} "
+        "if (vr[i] == REF(energy) && now > 1.9) value[i] = NAN; return s;"
+    )
+    own = wrapped(tmp_path, {}, oscillator(), fmi2GetReal=body)
+    edit = set_attributes(VARIABLE.format("energy") + "/Real", max="1")
+    path = with_description(own, tmp_path / "b.fmu", edit)
+    assert found(path, bounds) == {(ADVICE, "bounds", "energy")}  # it is 2

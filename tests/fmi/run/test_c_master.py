@@ -113,6 +113,20 @@ def test_communication_points_are_those_of_a_loop(span, any_step):
     assert found.tolist() == expected
 
 
+@pytest.mark.parametrize("later", ["0.3", "0.1 * 3", "0.3 + 5e-16", "0.3 + 1e-15", "0.3 + 1e-9"])
+def test_events_of_time_may_follow_each_other_at_once(tmp_path, later):
+    """A file that announces 0.3 s, and then a time that is the same but for rounding."""
+    body = (
+        f"static const double times[] = {{0.3, {later}}}; static int n; fmi2Status s = CALL; "
+        "info->nextEventTimeDefined = n < 2; if (n < 2) info->nextEventTime = times[n++]; return s;"
+    )
+    path = wrapped(tmp_path, fmi2NewDiscreteStates=body)
+    run = cosim.simulate_fmu(path, interface="ModelExchange", master="c", stop_time=1.0)
+    assert run.stats["events"] == 2
+    assert run.time[-1] == 1
+    np.testing.assert_allclose(run["x"], np.exp(-run.time / 2), rtol=1e-4)
+
+
 # -- what goes wrong ----------------------------------------------------------------------------
 
 

@@ -5,6 +5,7 @@ The truth is a closed form wherever an error is measured.
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -456,3 +457,22 @@ def test_model_that_no_solver_runs_says_so(goal, said, monkeypatch):
     monkeypatch.setattr(choice, "run", endless)
     with pytest.raises(SolverError, match=f"{said}: too many steps; request a shorter run, or"):
         simulate(model.freeze(), **goal)
+
+
+@pytest.mark.parametrize(("accuracy", "noted"), [(1e-6, True), (1e-9, False)])
+@pytest.mark.parametrize("coupled", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_accuracy_above_all_values_of_a_variable_names_it(coupled, accuracy, noted):
+    """A charge of 5e-9 C has the nominal value 1 C, in which an accuracy counts."""
+    capacitor = cosim.Model("capacitor", stop_time=1.0, output_interval=0.1)
+    charge = capacitor.state("charge", "C", 5e-9, "charge")
+    capacitor.derivative(charge, -3 * charge)
+    subject = capacitor.freeze()
+    if coupled:
+        meter = cosim.Model("meter")
+        meter.output("seen", "C", meter.input("charge", "C", 0.0, "charge"), "charge")
+        parts = {"capacitor": subject, "meter": meter.freeze()}
+        subject = cosim.couple(parts, {"meter.charge": "capacitor.charge"})
+    run = subject.simulate if coupled else partial(cosim.simulate, subject)
+    note = run(accuracy=accuracy).stats.get("note") or ""
+    assert ("more than all values of" in note) == noted
+    assert ("charge (at most 5e-09)" in note) == noted

@@ -296,3 +296,15 @@ def test_state_at_a_kink_is_rejected(law, slope):
             linearize(model.freeze())
     else:
         np.testing.assert_array_equal(linearize(model.freeze()).A, [[0, 1], [slope, 0]])
+
+
+@pytest.mark.parametrize(("start", "ends"), [(0.0, False), (1e-3, True), (1.0, True), (9.0, True)])
+def test_slope_that_is_not_finite_at_the_start_is_named(start, ends):
+    """An empty tank, x' = 1 - sqrt(x), has no derivative; a full one finds x = 1."""
+    x = ca.SX.sym("x")
+    tank = cosim.from_casadi({"x": x, "ode": 1 - ca.sqrt(x)}, {"x": start}, name="tank")
+    if ends:
+        assert linearize(tank, at="equilibrium").x[0] == pytest.approx(1, rel=1e-10)
+    else:
+        with pytest.raises(InitialConditionError, match="x_dot has no finite derivative"):
+            linearize(tank, at="equilibrium")

@@ -26,6 +26,7 @@ from cosim.study.tradeoff.measurement import (
     Measurement,
     Outcome,
     Timing,
+    at_times,
     combined,
     invariants,
     measurement_of,
@@ -365,3 +366,12 @@ def test_one_relative_tolerance_is_the_only_one_that_is_measured(tmp_path):
 def test_fmu_for_co_simulation_is_listed_under_the_solver_inside_it():
     fmu = Configuration(erk().request, Backend.CO_SIMULATION)
     assert fmu.solver == "dop853"
+
+
+@pytest.mark.parametrize("span", [1e-10, 1.0, 1e6])
+def test_reference_is_compared_at_the_times_of_the_run(span):
+    columns = (cosim.Column("t", "s"),)
+    time = np.linspace(0, span, 11)
+    reference = cosim.Trajectory("clock", time, columns, time[:, None])
+    run = cosim.Trajectory("clock", time[::2], columns, time[::2, None])
+    np.testing.assert_array_equal(at_times(reference, run).values, run.values)

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     records = [read_measured(args, path, like) for path in args.data]
     units = {column.name: column.unit for record in records for column in record.columns}
     noise = {
-        name: value_in(name, text, units.get(name))
+        name: value_in(name, text, units.get(name), difference=True)
         for name, text in assigned("--noise", args.noise, "SIZE[UNIT]")
     }
     settings["relative_tolerance"] = args.relative_tolerance

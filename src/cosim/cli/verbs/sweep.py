@@ -98,7 +98,8 @@ def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) 
     UnknownName.reject(f"-p {name}", "distribution", _DISTRIBUTIONS, kind)
     if len(words) != 2:
         raise UsageError(f"-p {name}: write {kind}({', '.join(_DISTRIBUTIONS[kind])})")
-    first, second = (_si_value(subject, name, word) for word in words)
+    first = _si_value(subject, name, words[0])
+    second = _si_value(subject, name, words[1], difference=kind == "normal")
     stats = optional_module("scipy.stats", "sweep")
     if kind == "normal":
         if second <= 0:
@@ -109,5 +110,6 @@ def _distribution(subject: Subject, name: str, kind: str, words: Sequence[str]) 
     return stats.loguniform(first, second) if kind == "loguniform" else (first, second)
 
 
-def _si_value(subject: Subject, name: str, text: str) -> float:
-    return value_in(name, text.strip(), subject.unit(name) if subject.takes_units else None)
+def _si_value(subject: Subject, name: str, text: str, *, difference: bool = False) -> float:
+    unit = subject.unit(name) if subject.takes_units else None
+    return value_in(name, text.strip(), unit, difference=difference)

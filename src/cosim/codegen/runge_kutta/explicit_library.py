@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from cosim.codegen.c_sources import solver_source
-from cosim.codegen.casadi_library import cache_key, generated_with_sizes, sources_beside
-from cosim.codegen.compiler import cached_library
+from cosim.codegen.casadi_library import library_around
 from cosim.codegen.functions import dense
 from cosim.codegen.kernel_library import NO_LAWS, LawText
 from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients, numbers, sums
@@ -67,16 +66,9 @@ def explicit_library(
     rhs, *others = map(dense, filter(None, (rhs, project, watch)))
     names = enumerate(("NX", "NZ", "NU", "NC"), start=1)
     sizes = "".join(f"#define {macro} {rhs.numel_in(i)}\n" for i, macro in names)
-    before = f"{sizes}{laws.sizes}"
     after = _solver_text(method, project, watch, laws)
-
-    def generate() -> str:
-        code = generated_with_sizes("equations", rhs, *others, *laws.functions)
-        return f"{before}{code}\n{after}"
-
-    details = "".join((before, after, *(f.serialize() for f in (*others, *laws.functions))))
-    key = cache_key(f"explicit {name}", rhs, details.encode())
-    return str(cached_library(key, generate, sources_beside(rhs, *others, *laws.functions)))
+    functions = rhs, *others, *laws.functions
+    return library_around(f"explicit {name}", f"{sizes}{laws.sizes}", functions, after)
 
 
 def explicit_function(

@@ -203,7 +203,7 @@ class EventBlocks:
         for k in np.flatnonzero(report[: len(done), 0] == _COMPLETE).tolist():
             counts = Counts(int(report[k, 1]), int(report[k, 2]), 0)
             states, unknowns, inputs = (table[k].T for table in rows)
-            motion = Motion(dae, grid, states, unknowns, inputs, counts, solve_time=time)
+            motion = Motion(dae, grid, states, unknowns, inputs, p[k], counts, solve_time=time)
             events = self._records[ends[k] - int(report[k, 3]) : ends[k]]
             found = self._finished(going[k], motion, Values(x[k], p[k], u[k]), events)
             if found is None:
@@ -240,13 +240,11 @@ class EventBlocks:
         self, position: int, motion: Motion, values: Values, events: NDArray[np.void]
     ) -> Row | None:
         """Return a run from its motion and its instants; None if it is left to `run`."""
-        known = unquestioned(motion, values.p, with_conditions(self._prepared.problem.dae))
-        if known is None or growth_in(known, values.p, *self._tolerance) is not None:
+        known = unquestioned(motion, with_conditions(self._prepared.problem.dae))
+        if known is None or growth_in(known, *self._tolerance) is not None:
             return None
         try:
-            motion, recorded, reason = evaluated(
-                self._prepared, known, values.p, StepCheck(), _needed
-            )
+            motion, recorded, reason = evaluated(self._prepared, known, StepCheck(), _needed)
         except _RowsNeeded:
             return None
         if reason:

@@ -19,6 +19,7 @@ from cosim.integrate.run import run
 from cosim.integrate.solvers import contains_time, default_solver, is_driven, requested_solver
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Tolerance
+from cosim.series.samples import below
 from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
 from cosim.text import EndKind
 from cosim.trajectory import Trajectory
@@ -243,7 +244,9 @@ def first_change(request: RunRequest) -> float | None:
 def _with_check(found: Trajectory, goal: Goal, check: ErrorCheck) -> Trajectory:
     """Return a run whose `stats` report the goal and the error."""
     assert isinstance(found.stats, RunStats)
-    return replace(found, stats=replace(found.stats, **vars(goal), **vars(check)))
+    small = below(found.columns, found.values, goal.accuracy) if goal.accuracy else ""
+    note = "; ".join(filter(None, (found.stats.note, small))) or None
+    return replace(found, stats=replace(found.stats, **vars(goal), **vars(check), note=note))
 
 
 def _accurate_run(chooser: _Chooser, goal: Goal, accuracy: float) -> Trajectory:

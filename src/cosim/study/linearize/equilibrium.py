@@ -11,7 +11,7 @@ from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import InitialConditionError
 from cosim.model.values import Values
-from cosim.study.linearize.local import at_point, followed, influence
+from cosim.study.linearize.local import at_point, followed, influence, reject_no_number
 from cosim.study.linearize.period_map import ACCURACY, PeriodMap
 from cosim.study.linearize.spectrum import without_influence
 from cosim.text import counted
@@ -91,6 +91,10 @@ class _Search:
             return rows, np.vstack((by_x, slope[:, movable])) * nominal
 
         start, (rows, slope) = x, defect(x)
+        moving = [dae.states[i].name for i in resting]
+        meanings = [f"{name}_dot" for name in moving] + ["a constraint"] * (len(rows) - len(moving))
+        knowns = [dae.states[i].name for i in movable]
+        reject_no_number(dae.full_name, slope, meanings, knowns, "the initial state")
         for step in range(MOST_NEWTON_STEPS):
             if np.abs(rows).max(initial=0.0) <= self.accuracy:
                 moved = np.abs(x - start)[movable] / nominal
@@ -108,20 +112,22 @@ class _Search:
                 trial = x.copy()
                 trial[movable] += change
                 found = defect(trial)
-                if np.linalg.norm(found[0]) < np.linalg.norm(rows):
+                is_nearer = np.linalg.norm(found[0]) < np.linalg.norm(rows)
+                if is_nearer and np.isfinite(found[1]).all():
                     break
                 change = change / 2
             else:
                 break
             x, (rows, slope) = trial, found
         worst = int(np.abs(rows).argmax())
-        is_state = worst < len(resting)
-        what = dae.states[resting[worst]].name if is_state else "a constraint"
+        why = f"a constraint is not fulfilled (by {rows[worst]:.3g}"
+        if worst < len(moving):
+            rate = f"its rate is {rows[worst]:.3g} nominal values per second"
+            why = f"{moving[worst]} cannot come to rest ({rate}"
         raise InitialConditionError(
-            f"{dae.full_name}: there is no {self.kind} near the initial state: {what} cannot come "
-            f"to rest (its rate is {rows[worst]:.3g} nominal values per second where Newton's "
-            "method stops); start nearer to it, or change the parameters and inputs that drive "
-            "the model"
+            f"{dae.full_name}: there is no {self.kind} near the initial state: {why} "
+            "where Newton's method stops); start nearer to it, or change the parameters and "
+            "inputs that drive the model"
         )
 
 

@@ -188,7 +188,7 @@ def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
     """Return the reference at the output times of a run with longer intervals."""
     if len(reference) == len(run):
         return reference
-    since = np.abs(reference.time - reference.time[0]).max(initial=1.0)
+    since = np.abs(reference.time - reference.time[0]).max(initial=0.0)
     rows = np.searchsorted(reference.time, run.time - 1e-9 * since)
     rows = np.minimum(rows, len(reference) - 1)
     return Trajectory(

@@ -230,7 +230,8 @@ def bounds(bench: Bench, kind: str) -> Iterator[Finding]:
         raise Skipped(f"it does not run: {error}") from error
     for variable, values in zip(limited, rows.T, strict=True):
         low, high = (float(variable.texts.get(e, d)) for e, d in (("min", "-inf"), ("max", "inf")))
-        noise = 10 * bench.tolerance * max(np.abs(values).max(), variable.nominal)
+        largest = np.abs(values[np.isfinite(values)]).max(initial=variable.nominal)
+        noise = 10 * bench.tolerance * largest
         beyond = np.flatnonzero((values < low - noise) | (values > high + noise))
         if len(beyond):
             found = f"it is {values[beyond[0]]:.6g} at {times[beyond[0]]:.6g} s, out of its range "
