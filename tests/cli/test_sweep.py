@@ -44,7 +44,6 @@ def test_a_failed_run_is_a_row_and_an_error_if_requested(strict, expected, capsy
     assert "2 runs: 1 complete, 1 refused" in printed.err
 
 
-@pytest.mark.slow
 def test_numbers_of_a_failed_run_are_null_in_json(capsys):
     """JSON has no NaN, and other programs do not read it."""
     words = ["-p", "diameter=0.01,-1", "--times", "1", "--outputs", "phi", "--workers", "0"]
@@ -53,6 +52,7 @@ def test_numbers_of_a_failed_run_are_null_in_json(capsys):
     assert [row["phi_final"] for row in rows] == [pytest.approx(55.0, rel=1e-6), None]
 
 
+@pytest.mark.slow
 def test_a_stored_sweep_resumes_without_its_samples(capsys, tmp_path):
     pytest.importorskip("zarr")
     words = ["sweep", "crank_shaft", "--outputs", "phi", "--times", "1", "--workers", "0",
