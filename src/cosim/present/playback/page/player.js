@@ -179,7 +179,7 @@ class Player {
   }
 }
 
-/* A recorded run: all of it in one packed array of 4-byte floats, column by column; times count from its begin. */
+/* A recorded run: all of it in one packed array of 4-byte floats, column by column; times count from the start. */
 async function recorded(run, columns) {
   const numbers = new Float32Array(await unpacked(run.packed)), { n, m, width } = run;
   let next = 0;
