@@ -397,3 +397,10 @@ def test_errors_are_those_of_the_same_steps_whichever_tolerance_measures_them(re
     np.testing.assert_array_equal(other.steps, usual.steps)
     ratio = other.error / usual.error  # sizes are 1 or up to 2, and less for relative errors
     assert ((ratio > 0.1) & (ratio < 10)).all()
+
+
+def test_runs_count_from_the_end_too():
+    many = simulate_many(blow_up(), {"x": [0.1, 2.0]}, stop_time=1.0)  # until 10 s, and 0.5 s
+    assert many.reason(-2) == "" != many.reason(-1) == many.reason(1)
+    assert many.run(-2).status == "complete" != many.run(-1).status == many.run(1).status
+    assert many.run(-1).time[-1] <= 0.5
