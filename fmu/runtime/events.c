@@ -124,7 +124,7 @@ double next_event(const Instance *self) {
    its steps rounds the time in each of them. */
 static bool is_at_end(const Instance *self, double end) {
     const double step = end - self->state.values[TIME];
-    const double largest = fmax(fabs(end), fabs(self->state.start_time)); /* time on the way */
+    const double largest = largest_time(&self->state.switching, end);
     const double rounding = (8 + self->state.steps) * DBL_EPSILON * largest;
     return fabs(next_event(self) - end) <= fmin(rounding, step / 2);
 }

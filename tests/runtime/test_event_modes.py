@@ -202,6 +202,22 @@ def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_bef
     assert fmu.get("time", "n") == [0, 1]
 
 
+def test_a_sample_at_0_happens_where_an_importer_of_model_exchange_comes_a_little_early(make):
+    fmu = make("counting", ("time", "x", "n", "der(x)", "der(n)", "mode_1"), 0, given=[10])
+    fmu.initialize({"start": -1.0})
+    update(fmu)
+    time = -1.0
+    for k in range(-9, 1):
+        time += 0.1
+        assert fmu("EnterContinuousTimeMode") == OK
+        move(fmu, time, time + 1, 0.0)
+        assert fmu("EnterEventMode") == OK
+        for _ in range(2):
+            assert update(fmu).next_time == pytest.approx((k + 1) / 10, abs=1e-15)
+            assert fmu.get("n") == [k == 0]
+    assert -1e-15 < time < 0
+
+
 def test_an_infinite_rate_is_no_event_and_no_part_of_a_state(make):
     fmu = make("pole", POLE, 0).initialize()
     update(fmu)
