@@ -10,6 +10,7 @@ BALL = ("time", "h", "v", "n", "der(h)", "der(v)", "der(n)", "mode_1", "event_in
 BLOCK = ("time", "x", "v", "der(x)", "der(v)", "mode_1", "friction", "event_indicator_1")
 LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
+HOLDING = ("time", "x", "n", "y", "der(x)", "der(n)", "der(y)", "u", "mode_1", "period")
 POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
 
@@ -187,6 +188,30 @@ def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
     assert fmu.step(0.125, 0.125)[::2] == (OK, 0.25)
     fallen = [5 - 9.81 * 0.125**2 / 2, -9.81 * 0.125]
     assert fmu.get("h", "v") == pytest.approx(fallen, abs=1e-14)
+
+
+def test_a_state_that_is_set_after_an_event_at_a_communication_point_is_not_undone(make):
+    fmu = make("holding", HOLDING, 1, 3, events=True, early=False).initialize()
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.0, 0.25)[::2] == (OK, 0.25)
+    assert fmu("EnterEventMode") == OK
+    assert fmu.set(x=5.0, u=1.0) == OK
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.25, 0.125)[::2] == (OK, 0.375)
+    assert fmu.get("x", "n", "y") == pytest.approx([5.125, 2, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("period", "later"), [(0.125, 10), (0.2, 7), (0.25, 5), (0.5, 3)])
+def test_a_sample_with_a_new_input_happens_once_whatever_the_new_period(make, period, later):
+    fmu = make("holding", HOLDING, 1).initialize()
+    for k in range(3):
+        assert fmu("DoStep", 0.25 * k, 0.25, 1) == OK
+    assert fmu.get("n", "y") == [4, 0]
+    assert fmu.set(u=1.0, period=period) == OK
+    assert fmu("DoStep", 0.75, 0.0625, 1) == OK
+    assert fmu.get("n", "y") == [4 + (period == 0.2), 1]
+    assert fmu("DoStep", 0.8125, 1.1875, 1) == OK
+    assert fmu.get("n", "y") == [4 + later, 1]
 
 
 def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_before_it(make):
