@@ -128,7 +128,7 @@ static bool changes_parameters(const Instance *self, const Reference references[
                                const double values[]) {
     for (size_t i = 0; i < count; i++)
         if (variables[references[i]].role == PARAMETER &&
-            values[i] != self->state.values[references[i]])
+            memcmp(values + i, self->state.values + references[i], sizeof *values) != 0)
             return true;
     return false;
 }
