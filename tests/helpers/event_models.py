@@ -138,6 +138,15 @@ def holding() -> Dae:
     return model.freeze()
 
 
+def humming() -> Dae:
+    """Return a motion at 1 m/s over 1000 s with an output at 100 rad/s."""
+    model = Model("humming", stop_time=1000.0)
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1.0)
+    model.output("y", "1", ca.sin(100 * x), "sine")
+    return model.freeze()
+
+
 def stopping() -> Dae:
     """Return a motion at 1 m/s that ends at 0.777 m."""
     model = Model("stopping", stop_time=2.0)

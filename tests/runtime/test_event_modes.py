@@ -1,5 +1,6 @@
 """Events in the runtime: saved states, event mode, time events, derivatives while sliding."""
 
+import math
 from ctypes import byref, c_double, c_int, c_void_p
 
 import pytest
@@ -176,6 +177,15 @@ def test_rates_of_outputs_at_an_event_count_no_input_that_was_asked_for(make):
     rate = reals(0.0)
     assert fmu("GetOutputDerivatives", fmu.refs("force"), 1, (c_int * 1)(1), rate, 1) == OK
     assert rate[0] in (pytest.approx(0), pytest.approx(-100))  # either side; -300 with that of u
+
+
+def test_rates_of_an_output_that_varies_faster_than_the_states_are_accurate(make):
+    fmu = make("humming", ("time", "x", "der(x)", "y"), 1).initialize({"stop": 1000.0})
+    assert fmu("DoStep", 0.0, 0.25, 1) == OK
+    rates, orders = reals(0, 0, 0), (c_int * 3)(1, 2, 3)
+    assert fmu("GetRealOutputDerivatives", fmu.refs(*["y"] * 3), 3, orders, rates) == OK
+    exact = [100 * math.cos(25), -(100**2) * math.sin(25), -(100**3) * math.cos(25)]
+    assert list(rates) == pytest.approx(exact, rel=1e-8)
 
 
 def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
