@@ -246,7 +246,7 @@ static inline bool rests_beyond(const Laws *laws, const Switching *s, const Poin
                                 const Seen *seen, int i) {
     if (laws->relations[i].floor || s->state[i] == SLIDES) return false;
     const double past = modes_of(at)[i] * past_boundary(laws, s, seen, i);
-    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
+    return seems_to_rest(s, seen, i) && past < -s->slack[i];
 }
 
 /* Notes what is 0 where modes are settled, and whether it stays so by definition. */
