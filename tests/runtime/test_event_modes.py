@@ -20,12 +20,12 @@ def make(tmp_path_factory):
     """Make instances of a model: 0 for model exchange, 1 for co-simulation."""
     libraries, made = {}, []
 
-    def instance(name, names, interface, version=2, given=(), **options):
-        key = name, version
+    def instance(name, names, interface, version=2, given=(), solver="dop853", **options):
+        key = name, version, solver
         if key not in libraries:
             folder = tmp_path_factory.mktemp(name)
             dae = getattr(event_models, name)(*given)
-            event_models.write(folder, dae, "dop853", fmi=version, most_trials=2000)
+            event_models.write(folder, dae, solver, fmi=version, most_trials=2000)
             libraries[key] = harness.library(folder, version, folder)
         kind = harness.Fmu2 if version == 2 else harness.Fmu3
         made.append(kind(libraries[key], names, interface, **options))
@@ -291,12 +291,14 @@ def test_a_long_message_ends_with_a_whole_character(make, digits):
     assert text in ("é" * (room // 2), "é" * (room // 2 - 1))
 
 
-def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make):
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "rosenbrock"])
+def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make, solver):
     def give(_, __, asks, *___):
         if asks:
             fmu.set(u=1.0)
 
-    fmu = make("left", LEFT, 1, 3, update=give, wanted=["u"]).initialize({"start": 1.0})
+    fmu = make("left", LEFT, 1, 3, solver=solver, update=give, wanted=["u"])
+    fmu.initialize({"start": 1.0})
     assert fmu.step(1.0, 1e-20)[::2] == (OK, 1.0)
     assert fmu.get("u") == [1.0]
     assert fmu.step(1.0, 0.125)[::2] == (OK, 1.125)
