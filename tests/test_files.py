@@ -153,3 +153,10 @@ def test_nothing_stays_of_a_writer_that_was_killed(number, tmp_path):
     assert len(entries(tmp_path)) == (1 if number == signal.SIGTERM else 2)
     write_atomically(target, b"new")  # and removes what is left
     assert entries(tmp_path) == ["o.csv"]
+
+
+def test_writing_changes_nothing_that_other_threads_share(tmp_path, monkeypatch):
+    called = list[int]()
+    monkeypatch.setattr(os, "umask", called.append)
+    write_atomically(tmp_path / "new.csv", b"new")
+    assert not called

@@ -11,7 +11,8 @@ import pytest
 
 import cosim
 from cosim.errors import CosimError, ExportError, ParameterError, UnknownName, UsageError
-from cosim.trajectory import Column, Trajectory
+from cosim.text import Violation
+from cosim.trajectory import Column, Event, Trajectory
 
 # Numbers whose shortest text needs all 17 digits, and the ends of the range
 HARD = [0.1 + 0.2, 1 / 3, np.nextafter(1, 2), 5e-324, 1.7976931348623157e308, -0.0]
@@ -290,6 +291,7 @@ def test_files_of_other_tools_are_read(text, tmp_path):
         ("time,x [furlong]\n1,1\n", "'furlong', which is unknown"),
         ("time [deg],x\n1,1\n", "time is in 'deg'"),
         ("time,x\n0,1\n,1\n", "line 3: the time is missing"),
+        ("time,x\n0,1\ninf,1\n", "line 3: the time is infinite"),
     ],
 )
 def test_files_that_make_no_sense_are_refused_with_the_line(text, told, tmp_path):
@@ -362,3 +364,28 @@ def test_run_that_is_computed_again_accepts_a_time_twice():
     found = run.at([0.0, 0.1, 0.1])
     np.testing.assert_array_equal(found.time, [0.0, 0.1, 0.1])
     np.testing.assert_array_equal(found.values[1], found.values[2])
+
+
+def test_times_outside_a_tiny_span_are_rejected():
+    short = Trajectory("m", [0, 1e-9], [Column("x")], [[0], [1]])
+    with pytest.raises(ParameterError, match="time 2e-09 is not within the run"):
+        short.at(2e-9)
+    assert short.at(5e-10) == {"x": 0.5}
+
+
+def test_a_part_of_a_run_has_no_event_of_another_part():
+    event = Event(5.0, "hit", {"x": 100.0}, {"x": 200.0})
+    whole = Trajectory("m", range(11), [Column("x")], [[n] for n in range(11)], events=(event,))
+    (row,) = whole.at([1, 3]).summary()
+    assert (row["start"], row["end"], row["min"], row["max"]) == (1, 3, 1, 3)
+    assert whole.at([4, 6]).events == whole.at([5, 6]).events == (event,)
+
+
+def test_npz_brings_back_what_is_wrong_without_its_time():
+    found = [Violation(1.5, "it lifts off"), "a plain reason", Violation(0.5, "slow", "it is slow")]
+    run = Trajectory("m", [0, 2], [Column("x")], [[0], [1]], {"invalid": found})
+    file = io.BytesIO()
+    run.to_npz(file)
+    again = Trajectory.from_npz(io.BytesIO(file.getvalue()))
+    assert again.validity == run.validity == (0.0, ("it lifts off", "a plain reason", "slow"))
+    assert again.stats == run.stats

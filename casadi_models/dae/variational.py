@@ -99,6 +99,7 @@ def _derived(
             start=None if kind is Start.CALCULATED else 0.0,
             start_kind=kind,
             nominal=variable.nominal,
+            foreign_unit=variable.foreign_unit,
         )
         for variable in variables
     )

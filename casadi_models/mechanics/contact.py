@@ -16,7 +16,7 @@ __all__ = ["friction", "friction_in_plane", "impact"]
 
 _CLOSING = 1e-12  # m/s; a gap that closes faster does so by motion, not by rounding of an impact
 _MOST_CONTACTS = 6  # of one impact, whose sets of pushing contacts are tried one by one
-_NEVER_ZERO = 1e-100  # m/s; below every velocity, and its square is not zero
+_NEVER_ZERO = 1e-100  # m/s or N; below every velocity and force, and its square is not zero
 _BACKWARD = 1e-3  # of the slow speed; at this speed backward, sliding has ended
 
 
@@ -165,7 +165,8 @@ def friction_in_plane(  # noqa: PLR0913 (a contact's data, four of them with def
     apparent = w.T @ along
     holding = -ca.solve(apparent, along.T @ f + bias)
     most = SX(sliding if sticking is None else sticking) * normal
-    excess = ca.sumsqr(holding) - most**2
+    held = ca.sumsqr(holding)
+    excess = held / (held + most**2 + _NEVER_ZERO**2) - 0.5  # without unit: forces may be tiny
 
     sticks = model.discrete(f"{name}_sticks", "1", 0.0, "1 if the contact sticks, else 0")
     slow = model.discrete(

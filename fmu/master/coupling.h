@@ -205,7 +205,7 @@ static inline int run_fixed(Coupling *self) {
         const int arrived = arrive(self);
         if (arrived != DONE) return arrived;
         if (jumps) forget_past(self);
-        if (self->now.t == end) ++self->given_steps;
+        if (same_time(system, self->now.t, end)) ++self->given_steps;
     }
     return DONE;
 }

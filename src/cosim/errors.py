@@ -119,7 +119,7 @@ class Interrupted(KeyboardInterrupt):
         partial: Every output up to there: a `Trajectory`, or the results of many runs.
     """
 
-    def __init__(self, message: str, partial: Any) -> None:
+    def __init__(self, message: str, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
 

@@ -43,16 +43,17 @@ def written_atomically(target: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             with place.open("wb") as stream:
                 yield stream
             return
-        mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else 0o666 & ~_umask()
+        mode = stat.S_IMODE(place.stat().st_mode) if place.exists() else None
         for left in leftovers(place.parent, _prefix(place)):
             if left.is_file():
                 Path(left).unlink(missing_ok=True)
-        with _sibling(place) as temporary:
+        with _sibling(place, 0o666 if mode is None else 0o600) as temporary:
             with temporary.open("wb") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-            temporary.chmod(mode)
+            if mode is not None:
+                temporary.chmod(mode)
             temporary.replace(place)
 
 
@@ -129,12 +130,12 @@ def _prefix(place: Path) -> str:
 
 
 @contextmanager
-def _sibling(place: Path) -> Iterator[Path]:
+def _sibling(place: Path, mode: int = 0o600) -> Iterator[Path]:
     """Yield a new file beside another one, removed afterwards; a signal may come at any moment."""
     name = f"{_prefix(place)}{process_mark()}-{secrets.token_hex(4)}"
     temporary = place.with_name(name)  # known before it exists
     try:
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600))
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, mode))
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
@@ -155,9 +156,3 @@ def _what_to_create(target: Path) -> str:
         return f"; create {target.parent} first"
     place = Path(os.path.realpath(target))
     return f"; it is a link to {place}: create {place.parent} first"
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

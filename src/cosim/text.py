@@ -4,10 +4,11 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from html import escape
+from math import isfinite
 from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
@@ -83,6 +84,11 @@ class Violation(str):
 
     def __reduce__(self) -> tuple[type["Violation"], tuple[float, str, str]]:
         return Violation, (self.time, self.what, str(self))
+
+
+def violations_in(texts: Iterable[str]) -> list[tuple[int, float, str, str]]:
+    """Return position, time, s, what is wrong, and text of each `Violation` among texts."""
+    return [(i, t.time, t.what, str(t)) for i, t in enumerate(texts) if isinstance(t, Violation)]
 
 
 class EndKind(StrEnum):
@@ -177,7 +183,7 @@ class Table:
 
     def to_json(self) -> str:
         """Return the rows as JSON."""
-        return json.dumps([*self.rows], indent=1) + "\n"
+        return json_text([*self.rows], indent=1) + "\n"
 
     def __repr__(self) -> str:
         text = text_table(self.rows, digits=self.digits)
@@ -237,6 +243,19 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def json_text(facts: Any, indent: int | None = None) -> str:
+    """Return plain values as JSON, which has null where a number is not finite."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, float):
+            return value if isfinite(value) else None
+        if isinstance(value, Mapping):
+            return {key: plain(one) for key, one in value.items()}
+        return [*map(plain, value)] if isinstance(value, list | tuple) else value
+
+    return json.dumps(plain(facts), indent=indent, allow_nan=False)
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -24,7 +24,7 @@ from cosim.series.csv_file import read_samples, shortest, write_csv
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
 from cosim.series.mat_file import write_mat
 from cosim.series.samples import Column, resample, summary_table, summary_text, times_within
-from cosim.text import MOST_LINES, Table, counted, html_table
+from cosim.text import MOST_LINES, Table, Violation, counted, html_table, violations_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -250,7 +250,9 @@ class Trajectory:
                 found = replace(found, time=requested, values=found.values[places])
         else:
             found, _ = self.interpolated(np.atleast_1d(requested))
-        return found.final if requested.ndim == 0 else found
+        begin, end = requested.min(initial=inf), requested.max(initial=-inf)
+        events = tuple(event for event in found.events if begin <= event.time <= end)
+        return found.final if requested.ndim == 0 else replace(found, events=events)
 
     def interpolated(self, times: Vector) -> tuple[Trajectory, Vector]:
         """Return the run between its rows at times (m,), s, and an error estimate by column, SI."""
@@ -402,6 +404,7 @@ class Trajectory:
             "numbers": None if self.numbers is None else dict(self.numbers),
             "columns": [asdict(column) for column in self.columns],
             "events": [asdict(event) for event in self.events],
+            "violations": violations_in(self.stats.get("invalid", ())),
         }
         content = io.BytesIO()
         np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
@@ -426,6 +429,8 @@ class Trajectory:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
                 facts["events"] = tuple(Event(**event) for event in facts["events"])
+                for i, when, what, text in facts.pop("violations", ()):
+                    facts["stats"]["invalid"][i] = Violation(when, what, text)
                 return cls(time=stored["time"], columns=columns, values=stored["values"], **facts)
         except Exception as error:
             raise UsageError(f"{source} contains no trajectory: {error}") from error

@@ -1,13 +1,16 @@
 """Units of connections and values by the definitions of the files that use them."""
 
+import numpy as np
 import pytest
 from helpers.described_files import described_file
 
 import cosim
+from cosim.coupling.connectors import Connector, End, with_outputs
 from cosim.errors import ParameterError, UsageError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.description import by_name, read_description
 from cosim.fmi.run.request import column_of
+from cosim.trajectory import Column, Trajectory
 
 PRESSURE, POWER, TIME = 'kg="1" m="-1" s="-2"', 'kg="1" m="2" s="-3"', 's="-1"'
 
@@ -69,6 +72,35 @@ def test_offset_of_a_relative_quantity_does_not_count(factors):
     assert found == (1.0, 0.0)
 
 
+RELATIVE = ' relativeQuantity="true"'
+
+
+@pytest.mark.parametrize("display", ["", '<DisplayUnit name="degC" offset="-273.15"/>'])
+@pytest.mark.parametrize(("text", "kelvin"), [("5 degC", 5.0), ("9 degF", 5.0), ("5 K", 5.0)])
+def test_value_of_a_relative_quantity_is_a_difference_in_every_unit(
+    tmp_path, display, text, kelvin
+):
+    file = described_file(tmp_path / "a.fmu", "K", 'K="1"', display=display, facts=RELATIVE)
+    system = cosim.couple({"a": file}, {}, start_values={"a.u": text})
+    assert system.start_values["a", "u"] == pytest.approx(kelvin, rel=1e-14)
+
+
+def test_relative_quantity_is_the_same_after_writing_and_reading_an_ssp_file(tmp_path):
+    base = 'K="1" offset="273.15"'
+    file = described_file(tmp_path / "a.fmu", "degC", base, facts=RELATIVE)
+    system = cosim.couple({"a": file}, {}, start_values={"a.u": 5.0})
+    again = cosim.read_ssp(system.write_ssp(tmp_path / "a.ssp"))
+    assert again.start_values == {("a", "u"): 5.0}
+
+
+def test_display_unit_of_a_relative_quantity_without_definition_has_no_offset(tmp_path):
+    facts = f'{RELATIVE} displayUnit="degC"'
+    with unpacked(described_file(tmp_path / "a.fmu", "K", 'K="1"', facts=facts)) as folder:
+        description = read_description(folder, "a.fmu")
+    column = column_of(by_name(description)["y"], description)
+    assert (column.shown_unit, column.shown(5.0)) == ("degC", 5.0)
+
+
 def test_unit_that_a_file_does_not_define_has_its_usual_meaning(factors):
     assert factors("bar", None, "Pa", PRESSURE) == (1e5, 0.0)
 
@@ -125,3 +157,12 @@ def test_display_unit_that_is_a_reciprocal_is_not_used(tmp_path):
     with unpacked(path) as folder:
         description = read_description(folder, path)
     assert column_of(by_name(description)["y"], description).shown_unit == "Hz"
+
+
+def test_output_of_the_system_in_another_unit_is_not_shown_as_that_of_the_part():
+    column = Column("a.T", "K", "C", display_factor=1.0, display_offset=-273.15)
+    run = Trajectory("room", np.zeros(1), (column,), np.full((1, 1), 300.0), {})
+    shown = Connector("T", "degC", is_input=False, ends=(End(("a", "T"), 1.0, -273.15),))
+    own, whole = with_outputs(run, {"T": shown}, None).columns
+    assert own.shown(300.0) == pytest.approx(26.85, rel=1e-13)
+    assert (whole.shown_unit, whole.shown(26.85)) == ("degC", 26.85)

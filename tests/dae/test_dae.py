@@ -9,6 +9,7 @@ import pytest
 from casadi import SX
 
 from casadi_models.dae import Dae, Model, Start
+from casadi_models.dae.variational import variational
 
 
 def oscillator(name="oscillator"):
@@ -316,3 +317,11 @@ def test_operations_count_shared_terms_once_and_parameters_as_numbers():
     model.equation(z - x * y)  # -
     model.output("free", "m", ca.cos(x), "an output costs the equations nothing")
     assert model.freeze().operations() == 5
+
+
+def test_derivatives_of_variables_in_foreign_units_have_these_units():
+    model = Model("shop")
+    stock = model.state("stock", "widget", 1.0, "stock", foreign_unit=True)
+    model.derivative(stock, -stock)
+    both = variational(model.freeze())
+    assert [(v.unit, v.foreign_unit) for v in both.states] == 2 * [("widget", True)]

@@ -1,6 +1,8 @@
 """Runs that end early: what was computed is kept, and it is said where and why."""
 
+import copy
 import os
+import pickle
 import re
 import select
 import signal
@@ -387,6 +389,12 @@ def test_equation_without_a_value_at_the_start_is_named(solver):
     model.derivative(v, v / x)
     with pytest.raises(SolverError, match="the derivative of v is not a number at the start"):
         cosim.simulate(model.freeze(), solver=solver, compiled=False)
+
+
+def test_an_interrupted_run_passes_to_another_process():
+    stopped = Interrupted("m: interrupted", {"t": 0.5})
+    for known in (copy.copy(stopped), pickle.loads(pickle.dumps(stopped))):
+        assert (str(known), known.partial) == ("m: interrupted", {"t": 0.5})
 
 
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])

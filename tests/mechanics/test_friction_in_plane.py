@@ -207,3 +207,15 @@ def test_a_mass_matrix_of_the_wrong_shape_is_rejected():
     v = model.state("v", "m/s", 0.0, "speed")
     with pytest.raises(ValueError, match=r"1 speeds, but a mass matrix of shape \(2, 2\)"):
         friction_in_plane(model, v, ca.SX.eye(2), v, 0, 1, inf)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-9])
+def test_tiny_forces_move_a_tiny_block_as_large_ones_a_large_block(scale):
+    model = Model("block", stop_time=2.0)
+    v = model.state("v", "m/s", 0.0, "velocity")
+    load = scale * model.t  # N
+    force = friction_in_plane(model, v, ca.SX(scale), v, load, scale, 0.5)
+    model.derivative(v, (load + force) / scale)
+    run = cosim.simulate(model.freeze())
+    assert times(run, "slides") == pytest.approx([0.5], abs=1e-9)
+    assert run.final["v"] == pytest.approx(1.5**2 / 2, abs=1e-7)  # measured 7e-9

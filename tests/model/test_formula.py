@@ -42,6 +42,10 @@ def value(text, t=0.5):
         ("sin(2*pi*t^2) - atan2(1, t)^2", sin(pi / 2) - atan2(1, 0.5) ** 2),
         ("where(t^2 > 0.2, 2^2, 0)", 4.0),
         ("7 / 2 * 3 - 1 - 1", 8.5),
+        ("-5degC", 268.15),  # the minus belongs to the temperature
+        ("max(-5degC, - 10degC)", 268.15),
+        ("where(t > 0 and -5degC > 200, 1, 0)", 1.0),
+        ("300 - 5degC", 300 - 278.15),
     ],
 )
 def test_values_are_those_of_arithmetic(text, expected):

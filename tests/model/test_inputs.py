@@ -205,7 +205,7 @@ def test_csv_of_another_tool_is_read(bicycle, write, text):
         pytest.param("time,steer_torque\n0,nan\n1,2\n", ParameterError,
                      r"line 2, column 'steer_torque': nan is missing, not finite", id="nan"),
         pytest.param("time,steer_torque\n0,1\ninf,2\n", ParameterError,
-                     r"line 3, column 'time': inf is missing, not finite", id="infinite time"),
+                     r"line 3: the time is infinite", id="infinite time"),
         pytest.param("time,steer_torque\n0,1\n1,2 N.m\n", ParameterError,
                      r"line 3, column 'steer_torque': '2 N.m' is not a number", id="unit"),
         pytest.param("time,steer_torque\n0,1_0\n1,2\n", ParameterError,
@@ -308,6 +308,13 @@ def test_jump_that_misses_an_output_time_by_rounding_is_moved_there():
     assert grid[3] != 0.3
 
 
+def test_jumps_long_after_time_zero_stay_where_they_are():
+    grid = 1e9 + np.arange(4) / 1024
+    time = 1e9 + np.array([0, 0.5, 0.5, 1]) / 1024
+    series = InputSeries(("a",), time, [[0], [0], [1], [1]])
+    assert series.with_jumps_at(grid).time.tolist() == time.tolist()
+
+
 @pytest.mark.slow_rows("0.25-1.0")
 @pytest.mark.parametrize(("first", "last"), [(0.25, 1.0), (0.0, 0.5), (0.0, 1.0)])
 def test_run_beyond_the_samples_is_reported(bicycle, first, last):
@@ -373,6 +380,29 @@ def test_two_times_that_differ_by_rounding_are_a_jump():
     series = InputSeries(("u",), [0.0, 1.0, 1.0 + 2e-16, 2.0], [[0], [1], [2], [3]])
     assert series.jumps.tolist() == [1.0]
     assert len(series.around(1.5).time) == 2
+
+
+def test_three_times_that_differ_by_rounding_are_a_jump_and_a_sample():
+    time = [0.0, 1.0, 1.0 + 2**-52, 1.0 + 2**-51, 2.0]
+    series = InputSeries(("u",), time, [[0], [1], [2], [3], [4]])
+    assert series.time.tolist() == [0.0, 1.0, 1.0, 1.0 + 2**-51, 2.0]
+    assert series.held().at([2.0]).tolist() == [[4.0]]
+
+
+def test_joined_series_still_say_which_samples_end_early(bicycle):
+    spans = {"steer_torque": (0.0, 1.0), "roll_torque": (0.0, 2.0)}
+    series = InputSeries(tuple(spans), [0, 1, 2], [[0, 0], [1, 1], [1, 2]], spans=spans)
+    joined = driven(bicycle, dict.fromkeys(spans, series), lambda: np.array([0.0, 2.0])).series
+    assert joined.gaps(0.0, 2.0) == series.gaps(0.0, 2.0)
+    assert "steer_torque has samples from 0 to 1 s" in joined.gaps(0.0, 2.0)
+
+
+@pytest.mark.parametrize("torque", [[3.0], lambda t: 3.0 if t < 1 else 0.0])
+def test_run_of_no_length_takes_samples_and_functions(bicycle, torque):
+    series = driven(bicycle, {"steer_torque": torque}, lambda: np.array([0.0])).series
+    assert series.at([0.0]).tolist() == [[3.0]]
+    run = cosim.simulate(bicycle, stop_time=0, inputs={"steer_torque": torque}, compiled=False)
+    assert run.time.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("header", ["Time", "TIME", "t", "time"])

@@ -132,3 +132,14 @@ def test_useless_lists_of_outputs_are_refused(bar, outputs):
 def test_unknown_frozen_parameter_is_refused(bar):
     with pytest.raises(UnknownName, match="parameter"):
         reduce(bar, ["theta"], freeze=["mass"])
+
+
+def test_smooth_expressions_of_what_is_left_out_go_too():
+    model = Model("apart", stop_time=1.0)
+    x, y = (model.state(name, "1", 1.0, "a decay") for name in "xy")
+    model.derivative(x, -model.smooth(ca.fabs(x)) * ca.fmax(x, 0.8))
+    model.derivative(y, -model.smooth(ca.fabs(y)))
+    small = reduce(model.freeze(), ["x"])
+    run = simulate(small)
+    assert run.final["x"] == pytest.approx(0.8 * np.exp(-0.8 * 0.75), abs=1e-7)  # 0.8 at 0.25 s
+    assert len(run.events) == 1  # that of fmax alone

@@ -9,6 +9,7 @@ import cosim
 from casadi_models.dae import Model
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, UsageError
+from cosim.model.many_values import assign_many
 
 FORMULATIONS = ["bicycle", "bicycle/book", "bicycle/multipliers"]
 LEANING = {"phi": 0.3, "delta": 0.2, "delta_dot": 1.0, "phi_dot": 0.4}
@@ -47,6 +48,10 @@ def test_many_runs_take_speeds_row_by_row():
         dae, {"speed": speeds, "phi": 0.1}, stop_time=0.02, outputs=["speed"], solver="erk"
     )
     np.testing.assert_allclose(many["speed"][:, 0], speeds, atol=1e-12)
+
+
+def test_no_runs_take_no_speeds():
+    assert len(assign_many(cosim.load("bicycle"), {"speed": []})) == 0
 
 
 def test_reduced_and_pickled_models_still_take_it():

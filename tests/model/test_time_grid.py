@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import ParameterError
+from cosim.integrate.keywords import requested
 from cosim.model.times import checked_grid, time_grid
 
 
@@ -87,6 +88,18 @@ def test_memory_counts_every_number_of_a_row():
 def test_grid_that_does_not_increase_is_refused(grid, reason):
     with pytest.raises(ParameterError, match=f"grid: .*({reason})"):
         checked_grid(grid)
+
+
+def test_a_new_span_replaces_the_times_of_a_request():
+    request = requested("crank_shaft", output_times=[0.1, 0.25, 0.4])
+    shorter = requested(request, stop_time=0.2, output_interval=0.1)
+    np.testing.assert_allclose(shorter.times.grid(shorter.dae), [0, 0.1, 0.2])
+    closer = requested(request, output_interval=0.2)
+    np.testing.assert_allclose(closer.times.grid(closer.dae), [0, 0.2, 0.4])
+    assert requested(request).times == request.times
+    assert requested(request, start_time=0.05).times.grid(request.dae)[0] == 0.05
+    with pytest.raises(ParameterError, match="increase"):
+        requested(request, start_time=0.2)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.series.curves import Rows, curves, of_rows
+from cosim.series.curves import Rows, curves, first_crossing, of_rows
 from cosim.trajectory import Column, Trajectory
 
 
@@ -139,3 +139,7 @@ def test_runs_without_a_motion_say_that_their_numbers_are_of_the_rows():
     assert fixed.summary().caption.endswith("; min and max of the rows")
     assert "of the rows" not in adaptive.summary().caption
     assert repr(adaptive).endswith("min and max of the rows")  # it computes nothing
+
+
+def test_a_crossing_of_tiny_values_is_found():
+    assert first_crossing(np.array([0.0, 1.0]), np.array([3e-200, -1e-200])) == 0.75

@@ -1,5 +1,7 @@
 """Copies: closed forms, the runs of single sessions, exact values, and every kind of wrong call."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from helpers.event_models import ball, stopping
@@ -10,6 +12,8 @@ import cosim
 from casadi_models.dae import Model
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.session.calls import StateCalls
+from cosim.session.copies import Copies
+from cosim.session.single_copies import SingleCopies
 
 N = 5
 RATES = np.array([0.0, 0.5, 1.0, 2.0, 100.0])
@@ -373,6 +377,25 @@ def test_no_step_leads_beyond_the_stop_time():
     with cosim.open(decay(), copies=2, stop_time=0.5, solver="erk") as copies:
         copies.advance(0.6)
         assert "beyond the stop time" in copies.reasons[0]
+
+
+def test_each_copy_gets_its_integer_as_it_is():
+    """From 2^53 on, floats do not hold every one."""
+    given = []
+    counter = SimpleNamespace(name="counter", inputs=(), outputs=(), states=(), invalid=None)
+    counter.identity = bytes
+    counter.checked = given.append
+    counter.reset = lambda values, start_time: None
+    Copies(SingleCopies([counter] * 2), 2, {"n": [2**53 + 1, 3]}, 0.0)
+    assert given == [{"n": 2**53 + 1}, {"n": 3}]
+
+
+def test_no_step_leads_beyond_a_stop_time_far_from_0():
+    far = 1e9  # s, of which a billionth is as long as the run
+    with cosim.open(decay(), copies=N, start_time=far, stop_time=far + 1) as copies:
+        copies.advance(to=far + 1)
+        with pytest.raises(UsageError, match="beyond the stop time"):
+            copies.advance(0.5)
 
 
 def test_arrays_of_the_caller_are_copied():

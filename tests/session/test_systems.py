@@ -1,6 +1,7 @@
 """Sessions of systems with FMUs as parts: the bits of whole runs, and going back as one."""
 
 import random
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -10,6 +11,7 @@ from helpers.foreign_part import foreign_part
 from helpers.session_systems import EVERY_WAY, LINUX, LOOP, STEP, WAYS, balls, lags
 
 import cosim
+from cosim.coupling.connectors import Connector, End
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Access
 
@@ -305,6 +307,16 @@ def test_wrong_calls_say_why_and_change_nothing(call, kind, words, files):
 
 
 # -- from files -----------------------------------------------------------------------------------
+
+
+def test_connector_without_influence_is_set_and_not_read(files):
+    system = cosim.couple({"a": files["lag"]}, {}, stop_time=1.0)
+    entry = Connector("g", None, is_input=True, ends=(End(("a", "u"), 0.0, 3.0),))
+    with cosim.open(replace(system, connectors={"g": entry})) as session:
+        session.set(g=5.0)
+        assert session["a.u"] == 3.0
+        with pytest.raises(UsageError, match=r"g has no influence on a\.u"):
+            session.get(["g"])
 
 
 def test_systems_open_from_their_files(files, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.trajectory import Column, Event, Trajectory
-from cosim.verify.comparison import compare
+from cosim.verify.comparison import apart, compare
 
 
 def run(time=(0, 1, 2), model="m", solver=None, **variables):
@@ -255,3 +255,22 @@ def test_states_that_are_0_for_their_error_control_agree(size):
         Trajectory("m", np.arange(3.0), columns, np.full((3, 1), sign * size)) for sign in (1, -1)
     ]
     assert compare(*runs)
+
+
+def test_residuals_of_temperatures_are_differences_of_degrees():
+    warm, warmer = (
+        Trajectory("m", [0, 1], [Column("T", "K", "degC")], [[kelvin]] * 2) for kelvin in (300, 305)
+    )
+    (row,) = compare(warm, warmer).rows()
+    assert (row["largest"], row["rms"], row["unit"]) == (5, 5, "degC")
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, -1e9])
+def test_output_times_differ_relative_to_the_span(scale):
+    times = scale * np.arange(3) if scale > 0 else scale + np.arange(3)
+    shift = 0.1 * (times[1] - times[0])
+    for moved, index in ((times + shift, 0), (np.append(times[:2], times[2] + shift), 2)):
+        assert apart(run(times, x=times), run(moved, x=moved)) == index
+    assert apart(run(times, x=times), run(times, x=times)) is None
+    near = np.nextafter(times, np.inf)
+    assert apart(run(times, x=times), run(near, x=times)) is None

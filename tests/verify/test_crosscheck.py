@@ -13,9 +13,11 @@ from casadi_models.dae import Model
 from cosim.cli.arguments import named_scene
 from cosim.cli.main import main
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName, UsageError
+from cosim.trajectory import Column, Trajectory
 from cosim.verify import crosscheck as crosschecks
-from cosim.verify.comparison import Check
+from cosim.verify.comparison import Check, compare
 from cosim.verify.crosscheck import crosscheck
+from cosim.verify.reference import Reference
 from cosim.verify.reference_result import check_file, export_with_reference
 
 SHORT = {"stop_time": 0.1, "output_interval": 0.05}
@@ -303,3 +305,28 @@ def test_a_row_at_an_event_may_have_either_side_of_it(tmp_path):
     path = export_with_reference(dae, tmp_path / "swing.fmu")
     assert [check.verdict for check in check_file(path)] == ["ok", "ok"]
     assert [len(check.comparison.event_times[0]) for check in check_file(path)] == [2, 2]
+
+
+def test_no_model_makes_no_check():
+    assert crosscheck([]).rows() == []
+
+
+def test_a_tolerance_of_0_is_rejected():
+    with pytest.raises(ParameterError, match="both tolerances are 0"):
+        next(crosscheck("crank_shaft/driven", relative_tolerance=0.0, **SHORT))
+
+
+def test_the_error_of_a_reference_counts_relative_to_the_size_of_a_small_state(monkeypatch):
+    columns = [Column("phi", "rad", is_state=True)]
+    truth, other = (
+        Trajectory("m", [0, 1], columns, [[1e-3], [1e-3 + gap]], {"relative_tolerance": 1e-12})
+        for gap in (0, 1.5e-9)
+    )
+    best = Reference(truth, "a", "b", {"phi": 1e-9}, "")  # in nominal values, 1 rad
+    monkeypatch.setattr(crosschecks, "reference", lambda _: best)
+    check = Check("m", "native", "b", compare(truth, other))
+    request = cosim.requested("crank_shaft")
+    found = crosschecks._against_reference(request, ["phi"], check, other, None)
+    assert found.comparison.worst.scaled == pytest.approx(1.5e-6, rel=1e-5)
+    assert found.doubt == pytest.approx(1e-6, rel=1e-5)
+    assert found.verdict == "reference too coarse"

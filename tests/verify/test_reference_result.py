@@ -10,6 +10,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.util import validate_result
+from helpers.fmu_files import rewritten
 from helpers.samples import sampled
 from helpers.small_models import decay
 
@@ -173,3 +174,42 @@ def test_second_export_with_a_reference_result_has_the_same_bytes(tmp_path):
     paths = [export_with_reference(decay(), tmp_path / f"{name}.fmu") for name in ("a", "b")]
     assert all(is_made_here(path) for path in paths)
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+@pytest.fixture(scope="module")
+def decaying(tmp_path_factory):
+    return export_with_reference(decay("damaged"), tmp_path_factory.mktemp("fmu") / "a.fmu")
+
+
+@pytest.mark.parametrize(
+    ("rows", "wrong"),
+    [
+        (2, {}),  # one time
+        (None, {"nominal": -1.0}),  # no difference would be above the bound
+        (None, {"nominal": 0.0}),
+        (None, {"nominal": "one"}),
+        (None, {"bound": math.nan}),
+        (None, {"events": [{"time": "0", "name": "e", "before": {"y": 1.0}, "after": {}}]}),
+    ],
+)
+def test_what_cannot_be_a_reference_is_told(decaying, tmp_path, rows, wrong):
+    with zipfile.ZipFile(decaying) as fmu:
+        lines, facts = fmu.read(REFERENCE).splitlines(keepends=True), json.loads(fmu.read(MEASURED))
+    if "nominal" in wrong:
+        wrong = {"nominal": dict.fromkeys(facts["nominal"], wrong["nominal"])}
+    damaged = {REFERENCE: b"".join(lines[:rows]), MEASURED: json.dumps(facts | wrong).encode()}
+    path = rewritten(decaying, tmp_path / "b.fmu", damaged)
+    with pytest.raises(FmuError, match="carries no reference result; export it"):
+        next(check_file(path))
+
+
+def test_a_small_state_is_compared_with_its_own_size_in_the_file_too(tmp_path):
+    model = Model("small", stop_time=1.0)
+    x = model.state("x", "m", 1e-3, "a state without a nominal value")
+    model.derivative(x, -x)
+    path = export_with_reference(model.freeze(), tmp_path / "a.fmu")
+    written = facts_of(path)[0]["largest difference in nominal values"]
+    for check in check_file(path):
+        worst = check.comparison.worst
+        assert worst.size == pytest.approx(1e-3)
+        assert worst.scaled == pytest.approx(written[check.backend]["difference"])

@@ -82,6 +82,7 @@ def with_outputs(
         if column.unit != source.unit or end.factor != 1:
             nominal = abs(end.factor) * source.nominal or source.nominal
             column = replace(column, display_unit=None, nominal=nominal)
+            column = replace(column, display_factor=None, display_offset=0.0)
         columns.append(column)
         values.append((end.factor * run[source.name] + end.offset)[:, np.newaxis])
     whole = replace(run, columns=tuple(columns), values=np.hstack(values))

@@ -17,7 +17,7 @@ from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import by_name, read_description, unit_of
 from cosim.fmi.run.request import holds_value, is_settable
 from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS
-from cosim.fmi.units import Measured, change_of_units, units_for
+from cosim.fmi.units import Measured, change_of_units, is_relative, units_for
 from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
 
@@ -32,6 +32,7 @@ class Variable:
         units: Definitions of units by name, with that of its own unit if there is one.
         type: Of its values, as the FMI calls it; "array" for an array as a whole.
         declaredType: fmpy's type with the items of an enumeration.
+        is_difference: Whether its values are differences, for which an offset does not count.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Variable:
     type: str = "Real"
     declaredType: Any = None  # noqa: N815 # as fmpy calls it, for `typed_value`
     variability: str = "continuous"
+    is_difference: bool = False
 
     @property
     def definition(self) -> Unit | None:
@@ -52,7 +54,7 @@ class Variable:
     @property
     def measured(self) -> Measured:
         """The unit with its meaning."""
-        return Measured.of(self.unit, self.units)
+        return Measured.of(self.unit, self.units)._replace(is_difference=self.is_difference)
 
     @property
     def items(self) -> dict[str, int]:
@@ -165,7 +167,8 @@ def _of_fmu(path: Path) -> dict[str, Variable]:
         units = units_for(variable, description)
         kind = "array" if variable.dimensions else variable.type
         facts = unit_of(variable), is_input, source, start, units, kind, variable.declaredType
-        found[name] = Variable(variable.name, *facts, variability=variable.variability)
+        own = {"variability": variable.variability, "is_difference": is_relative(variable)}
+        found[name] = Variable(variable.name, *facts, **own)
     return found
 
 

@@ -6,7 +6,7 @@ from math import isclose, isfinite
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from casadi_models.units import Unit, conversion, parse_unit
+from casadi_models.units import MORE, UNITS, Unit, conversion, parse_unit
 from cosim.errors import UsageError
 from cosim.fmi.run.description import unit_of
 
@@ -38,10 +38,15 @@ def base_unit(attributes: Mapping[str, Any]) -> Unit:
 
 
 class Measured(NamedTuple):
-    """The name of a unit, and what it means; None for what is missing."""
+    """The name of a unit, and what it means; None for what is missing.
+
+    Attributes:
+        is_difference: Whether its values are differences, for which an offset does not count.
+    """
 
     name: str | None = None
     definition: Unit | None = None
+    is_difference: bool = False
 
     @classmethod
     def of(cls, name: str | None, defined: Mapping[str, Unit]) -> "Measured":
@@ -98,7 +103,7 @@ def definition_of(variable: Any, description: Any) -> Unit | None:
     if name is None:
         return None
     unit = definitions(description).get(name) or parse_unit(name)
-    return unit.difference() if unit is not None and _is_relative(variable) else unit
+    return unit.difference() if unit is not None and is_relative(variable) else unit
 
 
 def units_for(variable: Any, description: Any) -> Mapping[str, Unit]:
@@ -114,6 +119,9 @@ def units_for(variable: Any, description: Any) -> Mapping[str, Unit]:
         known.setdefault(
             name, Unit(own.factor / factor, own.base, own.offset - own.factor * offset / factor)
         )
+    if is_relative(variable):
+        usual = {name: unit for name, unit in (UNITS | MORE).items() if unit.offset}
+        known = {name: unit.difference() for name, unit in (usual | known).items()}
     return known | {str(unit_of(variable)): own}
 
 
@@ -134,10 +142,12 @@ def display_of(variable: Any, description: Any) -> tuple[str | None, float | Non
     usual = None
     if own is not None and shown is not None and own.measures_like(shown):
         usual = conversion(own, shown)
+    if found is None and usual and usual[1] and is_relative(variable):
+        found = usual
     if found is None:
         return (name if usual else None), None, 0.0
     factor, offset = found
-    if _is_relative(variable):
+    if is_relative(variable):
         offset = 0.0
     is_close = partial(isclose, rel_tol=_ROUNDING, abs_tol=1e-12)
     if usual and all(map(is_close, (factor, offset), usual)):
@@ -159,7 +169,7 @@ def _displays(description: Any) -> Mapping[str | None, Mapping[str, tuple[float,
     return found
 
 
-def _is_relative(variable: Any) -> bool:
+def is_relative(variable: Any) -> bool:
     """Tell whether a variable is a difference, for which the offset of its unit does not count."""
     declared = variable.declaredType
     return bool(variable.relativeQuantity or (declared and declared.relativeQuantity))

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from math import ceil
 
 from cosim.errors import UsageError
 
@@ -32,7 +33,7 @@ def chosen_limits() -> dict[str, int]:
                 f"{LIMITS_VARIABLE}: '{word}' is no limit; give some of {', '.join(chosen)} as "
                 "NAME=NUMBER, 0 for none, e.g. memory=32e9,cpu=0"
             )
-        chosen[name] = int(number)
+        chosen[name] = ceil(number)
     return chosen
 
 

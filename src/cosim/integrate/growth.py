@@ -24,9 +24,9 @@ from cosim.model.growth import (
     stays_suppressed,
     suppressed_growth,
 )
-from cosim.model.solver import AdaptiveSolver
+from cosim.model.solver import AdaptiveSolver, Tolerance
 from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
-from cosim.model.values import own_sizes
+from cosim.model.values import error_sizes, own_sizes
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
 
@@ -44,12 +44,12 @@ def followed_growth(
         solver: The solver.
     """
     relative, absolute = solver.tolerance.pair
-    motion, refined = _with_digits(run, look, (relative, absolute))
+    motion, refined = _with_digits(run, look, solver.tolerance)
     ended = refined or motion.reason
-    growth = None if ended else growth_in(motion, relative, absolute)
+    growth = None if ended else growth_in(motion, solver.tolerance)
     if growth is None:
         return motion
-    sizes, steps = own_sizes(motion.dae, motion.states[:, 0]), motion.counts.steps or 0
+    sizes, steps = _sizes(motion, solver.tolerance), motion.counts.steps or 0
     closer = growth.closer(relative, absolute)
     if growth.rounding:
         return _noted(motion, growth.note(closer, absolute, False))
@@ -70,13 +70,13 @@ def _noted(motion: Motion, text: str) -> Motion:
 def _with_digits(
     run: Callable[[Closer | None], Motion],
     look: Callable[[Closer | None, int], Motion],
-    tolerance: tuple[float, float],
+    requested: Tolerance,
 ) -> tuple[Motion, bool]:
     """Return a motion whose states keep their digits in troughs, and whether one has lost some."""
-    motion = run(None)
+    motion, tolerance = run(None), requested.pair
     if not tolerance[1] or not may_grow_again(motion.dae):
         return motion, False
-    sizes = own_sizes(motion.dae, motion.states[:, 0])
+    sizes = _sizes(motion, requested)
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
     few = len(motion.time) < 2 * steps and not motion.reason
     seen = look(None, steps) if few else motion
@@ -142,12 +142,17 @@ def _trough(
     )
 
 
-def growth_in(motion: Motion, relative: float, absolute: float) -> Growth | None:
+def growth_in(motion: Motion, tolerance: Tolerance) -> Growth | None:
     """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
     if not _fed_back(motion.dae).any():
         return None
-    path = _path(motion, own_sizes(motion.dae, motion.states[:, 0]))
-    return suppressed_growth(path, motion.counts.steps or 0, relative, absolute)
+    path = _path(motion, _sizes(motion, tolerance))
+    return suppressed_growth(path, motion.counts.steps or 0, *tolerance.pair)
+
+
+def _sizes(motion: Motion, tolerance: Tolerance) -> Vector:
+    """Return the nominal values of the states that the error control of a motion had, (nx,)."""
+    return error_sizes(motion.dae, motion.states[:, 0], tolerance.absolute)
 
 
 def _path(motion: Motion, sizes: Vector) -> StatePath:

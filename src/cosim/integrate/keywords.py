@@ -145,6 +145,11 @@ def named(name: str) -> Dae:
 def _times(times: Times, given: dict[str, Any]) -> Times:
     names = {"start_time": "start", "stop_time": "stop", "output_interval": "interval"}
     own = given.pop("output_times", None)
+    if own is None and times.own:
+        if not given.keys() & {"stop_time", "output_interval"}:
+            return Times.at(times.requested, given.get("start_time", times.start), times.stop)
+        stop = float(times.requested[-1]) if times.stop is None else times.stop
+        times = Times(times.start, stop)  # a new span replaces them
     if own is None:
         return replace(times, **{names[name]: value for name, value in given.items()})
     for name in ("stop_time", "output_interval"):

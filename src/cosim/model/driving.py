@@ -302,7 +302,7 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
     try:
         samples = [value(float(t)) for t in grid] if callable(value) else value
         array = np.array(samples, dtype=float)
-        if callable(value):
+        if callable(value) and len(grid) > 1:
             grid, array = _with_jumps(value, *_with_peaks(value, grid, array))
     except Exception as error:
         raise ParameterError(
@@ -314,6 +314,8 @@ def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
             f"{owner}: {name} has samples of shape {array.shape}; the run has "
             f"{len(grid)} output times; give as many, or an InputSeries"
         )
+    if len(grid) == 1:  # a run of no length
+        grid, array = grid[0] + np.arange(2.0), np.repeat(array, 2)
     return InputSeries((name,), grid, array[:, None])
 
 
@@ -376,5 +378,5 @@ def _joined_series(pieces: Sequence[InputSeries]) -> InputSeries | None:
     time = np.sort(np.concatenate((time, jumps)))
     second = np.diff(time, prepend=-np.inf) == 0
     values = np.concatenate([np.where(second, p.at(time), p.before(time)) for p in pieces]).T
-    spans = {n: (p.time[0], p.time[-1]) for p in pieces for n in p.names}
+    spans = {n: p.spans.get(n, (p.time[0], p.time[-1])) for p in pieces for n in p.names}
     return InputSeries(tuple(spans), time, values, spans=spans)

@@ -20,6 +20,7 @@ _NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
     rf"({_POWER}(?:[./*-]{_POWER})*)"
 )
+_MINUS_OF_A_NUMBER = re.compile(r"(?:^|[(,<>=*/^+-]|\b(?:and|or|not)\b)\s*-\s*$")
 _CONSTANTS = {"pi": pi, "e": e}
 _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     **{
@@ -151,7 +152,8 @@ def _in_si(owner: str, match: re.Match[str], names: Container[str]) -> str:
                 "write blanks around what does not belong to the unit, and powers as 3cm^2 or "
                 "(3cm)^2"
             )
-        offset = f"+{found.offset!r}" if found.offset else ""
+        negative = _MINUS_OF_A_NUMBER.search(match.string[: match.start()])  # it stays in front
+        offset = f"{'-' if negative else '+'}{found.offset!r}" if found.offset else ""
         return f"({number}*{found.factor!r}{offset}){rest}"
     return match[0]
 

@@ -45,11 +45,12 @@ class Growth(NamedTuple):
         """Return the absolute tolerance that follows the deviation until it has nominal size.
 
         Args:
-            relative: Relative tolerance of the run, which then is that of the deviation.
+            relative: Relative tolerance of the run, which then is that of the deviation; if it is
+                0, the absolute one is.
             absolute: Absolute tolerance of the run, in nominal values.
         """
         until = self.time - self.growth_time * float(np.log(self.size))
-        return Closer(np.array(relative * self.size / absolute), until)
+        return Closer(np.array((relative or absolute) * self.size / absolute), until)
 
     def note(self, closer: "Closer", absolute: float, followed: bool) -> str:
         """Return what to say of a run.
@@ -161,7 +162,8 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
         )
         for first, last, calm in spans
     )
-    found = (growth_along(*line, absolute / relative) for line in lines)
+    hidden = absolute / relative if relative else np.inf
+    found = (growth_along(*line, hidden) for line in lines)
     return any(growth and not growth.rounding for growth in found)
 
 

@@ -80,7 +80,7 @@ class InputSeries:
         gaps = np.diff(time, prepend=-np.inf, append=np.inf)
         for k in np.flatnonzero(gaps <= 4 * np.spacing(np.abs(np.append(time, 0)))).tolist():
             if gaps[k - 1] > 0 and gaps[k + 1] > 0:  # no time stands three times
-                time[k] = time[k - 1]
+                time[k], gaps[k] = time[k - 1], 0
 
     @cached_property
     def digest(self) -> str:
@@ -247,13 +247,14 @@ def moved_to(grid: Vector, times: Vector) -> Vector:
     """Return times, of which those that miss a time of a grid by rounding are moved there.
 
     Args:
-        grid: s, increasing, (n,), n > 0.
+        grid: s, increasing, (n,), n > 0; the first one is the start, from which they are counted.
         times: s, (m,).
     """
     moved = times.copy()
     after = np.clip(np.searchsorted(grid, times), 0, len(grid) - 1)
     for near in (grid[after], grid[np.maximum(after - 1, 0)]):
-        same = np.abs(near - times) <= SAME_TIME * np.abs(near)
+        rounding = SAME_TIME * (near - grid[0]) + 4 * np.spacing(np.abs(near))
+        same = np.abs(near - times) <= rounding
         moved[same] = near[same]
     return moved
 

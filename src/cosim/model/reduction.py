@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from casadi_models.dae import Dae, Invariant, Variable
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import symbols
+from casadi_models.dae.expressions import column, symbols
 from cosim.errors import UnknownName, UsageError
 from cosim.model.catalogue import no_such_output, observable
 from cosim.model.values import A_DAE, listed
@@ -239,6 +239,10 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         inertias=tuple(pair for pair in small.inertias if _computable(small, pair[1])),
         limits=tuple(pair for pair in small.limits if _computable(small, pair[0])),
         monitors=tuple(pair for pair in small.monitors if _computable(small, pair[1])),
+        smooth=tuple(
+            column(row for row in ca.vertsplit(rows) if _computable(small, row))
+            for rows in small.smooth
+        ),
     )
     return replace(small, report=tuple(reduction_report(dae, small, freeze)))
 

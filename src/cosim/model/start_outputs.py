@@ -56,7 +56,7 @@ def solved_starts(
         `x` with these starts, (runs, nx), and whether each run has them, (runs,).
     """
     ways = _ways(dae, given)
-    if not ways:
+    if not (ways and len(x)):
         return x, np.ones(len(x), dtype=bool)
     names = tuple(way.variable.name for way in ways)
     root, residual = _functions(dae, names, len(x))

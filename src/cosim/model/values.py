@@ -285,6 +285,14 @@ def own_sizes(dae: Dae, x0: Vector) -> Vector:
     return np.where(free & (rounding < size) & (size < _SMALL), size, declared)
 
 
+def error_sizes(dae: Dae, x0: Vector, absolute: float | None) -> Vector:
+    """Return what errors of the states are measured by, (..., nx), from their initial values.
+
+    A requested absolute tolerance is of the declared nominal values; without one, see `own_sizes`.
+    """
+    return own_sizes(dae, x0 if absolute is None else np.zeros_like(x0))
+
+
 @cached_per_thread(16)
 def _declared_sizes(dae: Dae) -> tuple[Truths, Vector]:
     """Return which states have no nominal value of their own, and the nominal values, (nx,)."""

@@ -111,6 +111,7 @@ def read_samples(
     lines = [line for line, _ in body]
     for wrong, problem in (
         (np.isnan(times), "the time is missing; fill it in"),
+        (np.isinf(times), "the time is infinite; correct it"),
         (np.diff(times, prepend=times[0]) < 0, "time decreases; sort the lines by time"),
     ):
         if wrong.any():

@@ -268,7 +268,8 @@ def first_crossing(time: Vector, heights: Vector) -> float:
     It is interpolated linearly between times, s, (times,).
     """
     with np.errstate(invalid="ignore"):
-        passes = np.append(heights[:-1] * heights[1:] < 0, False) | (heights == 0)
+        side = np.sign(heights)  # products of small heights may be 0
+        passes = np.append(side[:-1] * side[1:] < 0, False) | (heights == 0)
     places = np.flatnonzero(passes)
     if not places.size:
         return float("nan")

@@ -157,7 +157,7 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
     if not len(span):
         raise ParameterError(f"{owner}: the run has no output times to interpolate")
     begin, end = float(span[0]), float(span[-1])
-    slack = 1e-9 * max(1.0, end - begin) + 4 * np.spacing(max(abs(begin), abs(end)))
+    slack = 1e-9 * (end - begin) + 4 * np.spacing(max(abs(begin), abs(end)))
     inside = (requested >= begin - slack) & (requested <= end + slack)
     if requested.ndim > 1 or not inside.all():
         first = (

@@ -48,9 +48,10 @@ class Clock:
         self.now = target
 
 
-def is_beyond(target: float, stop: float) -> bool:
-    """Tell whether a time is after the stop time, but for rounding as in an FMU."""
-    return target - stop > 1e-9 * abs(target)
+def is_beyond(now: float, target: float, stop: float) -> bool:
+    """Tell whether a step ends after the stop time, but for rounding as in an FMU."""
+    length = target - now
+    return target - stop > min(1e-9 * max(abs(now), length), length / 2)
 
 
 def target_of(owner: str, now: float, step: float | None, to: float | None) -> float:

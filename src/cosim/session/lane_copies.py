@@ -99,7 +99,7 @@ class LaneCopies:
 
     def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
         """Integrate; see `Engine.advance`."""
-        if is_beyond(target, self._stop):
+        if is_beyond(time, target, self._stop):
             raise UsageError(
                 f"{self.name}: the step ends at {target:.17g}, beyond the stop time "
                 f"{self._stop:.17g}; give a later one to open"

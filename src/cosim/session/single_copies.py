@@ -128,7 +128,7 @@ class SingleCopies:
 
 def _of(values: Mapping[str, Any], place: int) -> dict[str, Any]:
     """Return the values of one copy."""
-    return {name: v if np.ndim(v) == 0 else float(v[place]) for name, v in values.items()}
+    return {name: v if np.ndim(v) == 0 else v[place].item() for name, v in values.items()}
 
 
 @contextmanager

@@ -172,7 +172,7 @@ class SystemSession(Life):
 
     def _reject_goal(self, goal: float) -> None:
         start, stop = self._run.c.start, self._settings.stop
-        if self._ends and is_beyond(goal, stop):
+        if self._ends and is_beyond(self.time, goal, stop):
             raise ParameterError(
                 f"{self.name}: {goal:.12g} s is after the stop time {stop:.12g} s; open the "
                 "session with a later one"
@@ -289,6 +289,11 @@ class SystemSession(Life):
         if len(ends) != 1 or not is_number(self._variable(*ends[0].variable)):
             raise UsageError(f"{self.name}: {name} is not a single number")
         variable, factor, offset = ends[0]
+        if factor == 0:
+            raise UsageError(
+                f"{self.name}: {name} has no influence on {'.'.join(variable)}, which does not "
+                "tell it; read that instead"
+            )
         return End(variable, 1 / factor, -offset / factor)
 
     # -- states -------------------------------------------------------------------------------

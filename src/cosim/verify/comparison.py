@@ -84,7 +84,7 @@ class Comparison:
         rows = []
         for one in self:
             column = self.residuals.column(one.name)
-            own = column.shown(self.residuals[one.name])
+            own = column.shown(self.residuals[one.name], difference=True)
             own = np.abs(own[np.isfinite(own)])
             row = {"name": one.name, "difference": one.scaled, "at [s]": one.time}
             row |= {"largest": own.max(initial=0.0), "rms": np.sqrt(own @ own / max(1, len(own)))}
@@ -326,8 +326,9 @@ def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, 
 def apart(first: Trajectory, second: Trajectory) -> int | None:
     """Return the index from which on two runs have different output times; None if the same."""
     times = [run.time[: min(len(first), len(second))] for run in (first, second)]
-    since = np.abs(first.time - first.time[:1]).max(initial=1.0)
-    apart = np.abs(times[0] - times[1]) > np.maximum(1e-9 * since, 4 * np.spacing(times[0]))
+    since = np.abs(first.time - first.time[:1]).max(initial=0.0)
+    rounding = 4 * np.spacing(np.abs(times[0]))
+    apart = np.abs(times[0] - times[1]) > np.maximum(1e-9 * since, rounding)
     if apart.any():
         return int(np.argmax(apart))
     return None if len(first) == len(second) else len(apart)
@@ -375,8 +376,8 @@ class Check:
         stats: Statistics of the second run: wall_time, s; rhs_calls.
         failure: Why the run failed; empty if it did not.
         left_out: Names that are not compared since they have different meanings, with the reason.
-        doubt: Estimated error of the first run, in nominal values; 0 if it is unknown or does
-            not matter.
+        doubt: Estimated error of the first run, divided as the differences are; 0 if it is unknown
+            or does not matter.
         note: Steps that were taken to explain a difference, or the remedy to try.
     """
 

@@ -125,12 +125,15 @@ def _all_checks(
     bound: float,
 ) -> Iterator[Check]:
     first: tuple[Trajectory, Dae] | None = None
-    for item in models or dict.fromkeys(e.partition("/")[0] for e in casadi_models.CATALOG):
+    names = (entry.partition("/")[0] for entry in casadi_models.CATALOG)
+    for item in dict.fromkeys(names) if models is None else models:
         if not isinstance(item, str) or ".py:" not in item:  # forms of one file are compared
             first = None
         for request in _members(item):
             experiment = request.dae.experiment
-            tolerance = relative_tolerance or experiment.reference_tolerance
+            tolerance = experiment.reference_tolerance
+            if relative_tolerance is not None:
+                tolerance = relative_tolerance
             request = _plain(request, stop_time, output_interval, tolerance)
             try:
                 with doing(str(Backend.NATIVE)):
@@ -269,7 +272,7 @@ def _against_reference(
     try:
         with doing(f"{request.dae.full_name}, reference"):
             best = reference(request)
-        truth, doubt = best.run.select(names), best.error(names)
+        truth = best.run.select(names)
     except CosimError as error:
         advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"
         return replace(check, note=advice)
@@ -282,6 +285,8 @@ def _against_reference(
             difference = compare(truth, other, bound=bound, resample=False)
         except _FAILURES:
             break
+        nominal = {column.name: column.nominal for column in truth.columns}
+        doubt = max(best.errors[d.name] * nominal[d.name] / d.size for d in difference)
         stats, note = dict(other.stats), f"at relative tolerance {now:g}" if tighter < 1 else ""
         found = replace(check, against=best.method, comparison=difference, doubt=doubt)
         found = replace(found, stats=stats, note=note)
@@ -290,7 +295,8 @@ def _against_reference(
     if found.verdict is Verdict.DIFFERS:
         found = replace(found, note=_advice(tolerance))
     elif found.verdict is Verdict.COARSE:
-        note = f"the reference may be wrong by {doubt:.1e}: use a larger bound or a shorter run"
+        off = f"the reference may be wrong by {found.doubt:.1e}"
+        note = f"{off}: use a larger bound or a shorter run"
         found = replace(found, note=note)
     return found
 

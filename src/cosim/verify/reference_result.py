@@ -37,6 +37,8 @@ from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run as execute
 from cosim.model.request import DriftControl
+from cosim.model.times import checked_grid
+from cosim.model.values import number
 from cosim.text import sentence
 from cosim.trajectory import Column, Event, Trajectory
 from cosim.verify.comparison import Check, Verdict, compare
@@ -123,6 +125,7 @@ def _reference_files(dae: Dae, local: Path, target: str) -> dict[str, bytes]:
         "bound": BOUND,
         "unit": {column.name: column.unit for column in run.columns},
         "nominal": {column.name: column.nominal for column in run.columns},
+        "states": [column.name for column in run.columns if column.is_state],
         "events": [  # both sides where a row is, which may hold either
             asdict(e if np.isclose(run.time, e.time).any() else Event(e.time, e.name, {}, {}))
             for e in run.events
@@ -159,9 +162,9 @@ def check_file(path: str | os.PathLike[str], timeout: float | None = None) -> It
             tool = sentence(description.get("generationTool") or "an unnamed tool")[:60]
             against = OWN if is_made_here(path) else f"{OWN} by {tool}"
             run = _from_csv(table, facts, flat_names(description))
-            tolerance, bound = float(facts["relative_tolerance"]), float(facts["bound"])
+            tolerance, bound = (_positive(facts, key) for key in ("relative_tolerance", "bound"))
             doubt = float(facts.get("estimated error in nominal values", 0.0))
-    except (KeyError, ValueError, TypeError, IndexError, RecursionError, csv.Error) as error:
+    except (LookupError, ValueError, TypeError, RecursionError, csv.Error, UsageError) as error:
         raise FmuError(
             f"{path} carries no reference result; export it with cosim export"
         ) from error
@@ -279,9 +282,24 @@ def _from_csv(table: str, facts: dict[str, Any], flat: Mapping[str, str]) -> Tra
     head, *rows = csv.reader(io.StringIO(table))
     head = [flat.get(name, name) for name in head]
     numbers = np.array(rows, dtype=float)
+    units, states = facts["unit"], facts.get("states", ())
     columns = tuple(
-        Column(name, facts["unit"][name], nominal=facts["nominal"][name]) for name in head[1:]
+        Column(n, units[n], nominal=_positive(facts["nominal"], n), is_state=n in states)
+        for n in head[1:]
     )
-    stats, time, values = {"solver": facts["solver"]}, numbers[:, 0].copy(), numbers[:, 1:].copy()
-    events = tuple(Event(**event) for event in facts.get("events", ()))
+    stats = {name: facts[name] for name in ("solver", "relative_tolerance")}
+    time, values = checked_grid(numbers[:, 0]), numbers[:, 1:]
+    events = tuple(_event(head[1:], **event) for event in facts.get("events", ()))
     return Trajectory(facts["model"], time, columns, values, stats, events=events)
+
+
+def _event(
+    names: Sequence[str], time: float, name: str, before: dict[str, float], after: dict[str, float]
+) -> Event:
+    known = names if before else ()
+    sides = ({key: float(side[key]) for key in known} for side in (before, after))
+    return Event(float(time), name, *sides)
+
+
+def _positive(facts: Mapping[str, Any], key: str) -> float:
+    return number(MEASURED, key, float(facts[key]), positive=True)

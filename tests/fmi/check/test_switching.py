@@ -2,8 +2,10 @@
 
 import os
 import zipfile
+from types import SimpleNamespace
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers.fmu_files import rewritten, set_attributes, with_description
 from helpers.small_models import ball
@@ -17,7 +19,9 @@ from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
 from cosim.fmi.check.trials.derivatives import dependencies, derivatives
 from cosim.fmi.check.trials.start import initialization, start, time
+from cosim.fmi.check.trials.steps import _answers_of_a_step as answers_of_a_step
 from cosim.fmi.check.trials.steps import calls, steps
+from cosim.fmi.check.trials.switching import _compared as compared
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import defaults
 
@@ -184,3 +188,21 @@ def test_a_file_for_another_platform_gets_a_remedy_that_its_user_has(tmp_path):
                             tmp_path / "bare.fmu", other)  # fmt: skip
     with pytest.raises(FmuError, match=r"for no platform, none .*; compile its sources"):
         try_apart(bare, timeout=24.0)
+
+
+def test_numbers_that_only_one_interface_has_differ():
+    runs = SimpleNamespace(bench=None, outputs=[SimpleNamespace(name="y")])
+    exact, allowed = np.ones((50, 1)), np.ones((50, 1))
+    found = np.where(np.arange(50)[:, None] < 25, 1.0, np.nan)
+    [finding] = compared(runs, np.arange(50.0), exact, found, allowed, "here, ")
+    assert (finding.rule, finding.place) == ("switching", "y")
+    assert finding.found.startswith("here, from 25 s on, it differs")
+    [same] = compared(runs, np.arange(50.0), found, found, allowed, "here, ")
+    assert same == "here, 50 points, 0.0% of them differ"
+
+
+def test_a_step_may_end_where_it_is_to_end_before_time_0():
+    session = SimpleNamespace(time=-5.0, kind="CoSimulation")
+    session.bench = SimpleNamespace(step_size=lambda kind: 0.1)
+    session.instance = SimpleNamespace(doStep=lambda t, size: (False, False, False, t + size))
+    assert list(answers_of_a_step(session)) == []

@@ -15,6 +15,7 @@ from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import TRIALS, try_apart
 from cosim.fmi.check.libraries import sources
+from cosim.fmi.check.trials.bench import Bench
 
 NAME = "bar_on_frame/reduced"
 SHORT = 24.0  # s for all trials, a twelfth of it for the steps
@@ -268,3 +269,30 @@ def test_time_limit_holds_for_reading_the_file(exported, capsys):
     assert main(["check", str(path), "--timeout", "0.001"]) == 1
     expected = f"FmuError: {path}: its description was not read within 0.001 s; use --timeout\n"
     assert capsys.readouterr().err == expected
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """Return a function: the bench of a file by the attributes of its interface and experiment."""
+
+    def made(abilities="", experiment=""):
+        (tmp_path / "modelDescription.xml").write_text(
+            f'<fmiModelDescription fmiVersion="2.0"><CoSimulation {abilities}/>'
+            f"<DefaultExperiment {experiment}/></fmiModelDescription>"
+        )
+        return Bench(tmp_path, "file", 1.0)
+
+    return made
+
+
+@pytest.mark.parametrize(("text", "offered"), [("true", True), ("1", True), ("0", False)])
+def test_an_ability_is_offered_by_either_word_of_xml(bench, text, offered):
+    name = "canBeInstantiatedOnlyOncePerProcess"
+    assert bench(f'{name}="{text}"').offers("CoSimulation", name) is offered
+
+
+@pytest.mark.parametrize(
+    ("experiment", "span"), [('startTime="-5" stopTime="0"', 5.0), ('startTime="-5"', 1.0)]
+)
+def test_a_run_that_stops_at_0_has_its_whole_span(bench, experiment, span):
+    assert bench(experiment=experiment).span == span

@@ -1,5 +1,8 @@
 """Values of all types are those of the file, and those that were set; runs stay within bounds."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 from helpers.fmu_files import set_attributes, with_description
 from helpers.small_models import ball
@@ -10,7 +13,8 @@ import cosim
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import try_apart
-from cosim.fmi.check.trials.derivatives import derivatives
+from cosim.fmi.check.trials.derivatives import Known, derivatives
+from cosim.fmi.check.trials.derivatives import _compared as compared
 from cosim.fmi.check.trials.start import initialization, reset, start
 from cosim.fmi.check.trials.steps import calls, exchange
 from cosim.fmi.check.trials.switching import switching
@@ -197,6 +201,30 @@ def test_display_unit_whose_factor_is_not_that_of_its_name_is_found(tmp_path, ex
     edit = set_attributes("UnitDefinitions/Unit[@name='rad']/DisplayUnit", factor="60")
     path = with_description(own, tmp_path / "a.fmu", edit)
     assert {(f.level, f.rule) for f in {*examine(path)} - {*examine(own)}} == {(WRONG, "unit")}
+
+
+class Square:
+    """A session of y = u^2 at u = 2, whose directional derivative is a given number."""
+
+    def __init__(self, slope):
+        self.slope, self.u = slope, 2.0
+        self.bench = SimpleNamespace(second=True)
+
+    def values(self, _variables):
+        return np.array([self.u**2])
+
+    def put(self, _variable, value):
+        self.u = value
+
+    def slopes(self, _unknowns, _known):
+        return np.array([self.slope])
+
+
+@pytest.mark.parametrize(("slope", "found"), [(4.0, 0), (5.0, 1), (np.nan, 1)])
+def test_a_derivative_that_is_not_finite_differs_from_one_that_is(slope, found):
+    u, y = (SimpleNamespace(name=n, reference=n, nominal=1.0) for n in "uy")
+    known = [Known(u, None, required=True)]
+    assert len([*compared(Square(slope), [y], known, np.array([2.0]))]) == found
 
 
 def test_output_that_is_no_number_hides_no_violated_bound(tmp_path):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from helpers.fmu_files import misbehaving
 from helpers.small_models import decay
 
 import cosim
-from cosim.errors import FmuError, ParameterError, UnknownName
+from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
 from cosim.fmi.run.isolated import run_apart
 from cosim.host.child import MOST_OUTPUT
 
@@ -128,6 +129,16 @@ def test_errors_of_the_run_keep_their_kind(bad):
         run_apart(bad, timeout=float("nan"))
     with pytest.raises(FmuError, match=r"^nowhere\.fmu|^cannot read nowhere\.fmu"):
         run_apart("nowhere.fmu")
+
+
+def test_an_error_of_a_kind_within_another_arrives_as_that_one(bad, tmp_path, monkeypatch):
+    raising = "raise EndlessEvents('events cause each other without end', None, 'a')"
+    code = f"from cosim.coupling.failures import EndlessEvents\ndef run(path):\n    {raising}\n"
+    (tmp_path / "endless_run.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(SolverError, match=r"^events cause each other without end$"):
+        run_apart(bad, function=import_module("endless_run").run)
 
 
 def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):

@@ -47,6 +47,11 @@ def test_limit_that_is_none_is_refused(monkeypatch, text):
         chosen_limits()
 
 
+def test_limit_below_one_is_not_none(monkeypatch):
+    monkeypatch.setenv("COSIM_FMU_LIMITS", "cpu=0.5,memory=0")
+    assert (chosen_limits()["cpu"], chosen_limits()["memory"]) == (1, 0)
+
+
 def begun(path, folder):
     """Return the process of a run once it has unpacked the FMU in a folder."""
     call = [sys.executable, "-m", "cosim", "simulate", str(path), "--trust"]

@@ -379,3 +379,10 @@ def test_a_start_that_rounding_leaves_beside_0_says_nothing_of_steps(start, stop
     assert not many.reasons
     exact = 2 * np.arctan((stop - start) * np.array([1.0, 2.0]))
     assert many["x"][:, -1] == pytest.approx(exact, abs=1e-7)
+
+
+def test_runs_count_from_the_end_too():
+    many = simulate_many(blow_up(), {"x": [0.1, 2.0]}, stop_time=1.0)  # until 10 s, and 0.5 s
+    assert many.reason(-2) == "" != many.reason(-1) == many.reason(1)
+    assert many.run(-2).status == "complete" != many.run(-1).status == many.run(1).status
+    assert many.run(-1).time[-1] <= 0.5

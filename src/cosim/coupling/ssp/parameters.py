@@ -51,11 +51,13 @@ class Value:
             return number
         if None in (self.unit.name, unit.name) or self.keeps_unit:
             return transformed(number, self.factor, self.offset)
-        if self.unit.definition is None or unit.definition is None:
+        own = self.unit.definition
+        if own is None or unit.definition is None:
             number = quantity(name, f"{number!r} {self.unit.name}", str(unit.name))
         else:
             try:
-                scale, shift = conversion(self.unit.definition, unit.definition)
+                own = own.difference() if unit.is_difference else own
+                scale, shift = conversion(own, unit.definition)
             except ValueError as error:
                 reason = f"'{self.unit.name}' of the file cannot be converted to '{unit.name}' of"
                 reason += " the FMU, by their definitions"

@@ -88,7 +88,7 @@ def _listed(bench: Bench, kind: str, identifier: str) -> _Build:
         build.definitions = [
             e.get("name", "") + (f"={e.get('value')}" if e.get("value") else "")
             for e in configuration.iter("PreprocessorDefinition")
-            if e.get("optional") != "true"
+            if e.get("optional") not in ("true", "1")
         ]
         build.libraries = [e.get("name", "") for e in configuration.iter("Library")]
     return build

@@ -117,7 +117,8 @@ def _main(folder: Path) -> None:
     except CosimError as error:
         partial = getattr(error, "partial", None)
         kept = partial if isinstance(partial, Trajectory) else None
-        answer = _Answer(kept, type(error).__name__, str(error))
+        kind = next(one for one in type(error).__mro__ if one.__module__ == errors.__name__)
+        answer = _Answer(kept, kind.__name__, str(error))
     except MemoryError:
         reason = f"{path}: the FMU exceeded the limit of memory ({LIMITS_VARIABLE})"
         answer = _Answer(None, "FmuError", reason)

@@ -226,7 +226,7 @@ class Ensemble:
 
     def run(self, i: int) -> Trajectory:
         """Return one run up to its last valid output time, or to the event that ended it."""
-        whole(self.model, "run", i, -len(self.states), len(self.states) - 1)
+        i = self._position(i)
         if i in self.with_events:
             return self.with_events[i]
         n = int(self.reached[i])
@@ -249,7 +249,7 @@ class Ensemble:
 
     def rows(self, i: int) -> Curves:
         """Return what the output times tell of a run."""
-        whole(self.model, "run", i, -len(self.states), len(self.states) - 1)
+        i = self._position(i)
         run = self.with_events.get(i)
         return of_rows(
             Rows(self.time, self.values[i]) if run is None else Rows(run.time, run.values)
@@ -283,9 +283,15 @@ class Ensemble:
 
     def reason(self, i: int) -> str:
         """Return from when on a run is invalid, and why it is not complete; "" if neither."""
+        i = self._position(i)
         invalid, stopped = self.invalid.get(i, ""), self.reasons.get(i, "")
         first = "" if invalid and invalid in stopped else short_reason(invalid)
         return "; ".join(filter(None, (first, short_reason(stopped))))
+
+    def _position(self, i: int) -> int:
+        """Return a position that may count from the end as one from the start."""
+        count = len(self.states)
+        return whole(self.model, "run", i, -count, count - 1) % count
 
     def summary(self) -> Table:
         """Return the smallest and largest value of each quantity, of the rows of all runs."""

@@ -127,7 +127,7 @@ class EventBlocks:
         self._request = request
         self._prepared = prepared
         self.solver = solver
-        self._tolerance = solver.tolerance.pair
+        self._tolerance = solver.tolerance
         self._system = system
         self._values = values
         self._in_laws = np.array(system.in_laws, dtype=bool)
@@ -224,7 +224,7 @@ class EventBlocks:
         arrays = (grid, *given, own_sizes(dae, x), *rows, self._records, report)
         block = _Block(
             *(runs, n, len(self._records), solver.leaves_stiff),
-            *(*self._tolerance, solver.max_step or np.inf, float(grid[-1] - grid[0])),
+            *(*self._tolerance.pair, solver.max_step or np.inf, float(grid[-1] - grid[0])),
             *(array.ctypes.data for array in arrays),
         )
 
@@ -241,7 +241,7 @@ class EventBlocks:
     ) -> Row | None:
         """Return a run from its motion and its instants; None if it is left to `run`."""
         known = unquestioned(motion, with_conditions(self._prepared.problem.dae))
-        if known is None or growth_in(known, *self._tolerance) is not None:
+        if known is None or growth_in(known, self._tolerance) is not None:
             return None
         try:
             motion, recorded, reason = evaluated(self._prepared, known, StepCheck(), _needed)

@@ -23,7 +23,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
-from cosim.model.values import Values, own_sizes
+from cosim.model.values import Values, error_sizes
 from cosim.text import Ending, EndKind, Violation, violated
 
 CAUSES = {  # by code of the library
@@ -260,10 +260,9 @@ def nominal_sizes(dae: Dae, x: Vector, tolerance: Tolerance) -> Vector:
     Args:
         dae: The model.
         x: Initial values, SI, (runs, nx).
-        tolerance: A requested absolute tolerance is of the declared nominal values.
+        tolerance: See `error_sizes`.
     """
-    declared = tolerance.absolute is not None
-    sizes = own_sizes(dae, np.zeros_like(x) if declared else x)
+    sizes = error_sizes(dae, x, tolerance.absolute)
     return np.array(2.0 ** np.round(np.log2(sizes)), dtype=float)
 
 

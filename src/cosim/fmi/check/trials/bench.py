@@ -135,7 +135,7 @@ class Bench:
     def offers(self, kind: str, *names: str) -> bool:
         """Return whether an interface has one of these capabilities."""
         attributes = self.described.interfaces[kind]
-        return any(attributes.get(name) == "true" for name in names)
+        return any(attributes.get(name) in ("true", "1") for name in names)
 
     def internal_step(self, kind: str) -> float:
         """Return the fixed size of the steps of the solver inside, s; 0 if none is declared."""
@@ -226,7 +226,8 @@ class Bench:
     @property
     def span(self) -> float:
         """Length of the default experiment, s."""
-        return (self.experiment("stopTime") or self.start + 1.0) - self.start
+        stop = self.experiment("stopTime")
+        return 1.0 if stop is None else stop - self.start
 
     @cached_property
     def visited(self) -> list[tuple[float, Vector]]:

@@ -266,6 +266,7 @@ def _compared(
         doubt = 20 * np.abs(coarse - fine) + bend + noise
         size = np.maximum(np.abs(reported), np.abs(coarse))
         bad = np.abs(reported - coarse) > _DIRECTIONAL * size + doubt
+        bad |= ~np.isfinite(reported) & (doubt < _DIRECTIONAL * np.abs(coarse))
         bad &= np.array([unknown.reference != known.variable.reference for unknown in unknowns])
         for k in np.flatnonzero(bad)[:MOST_NAMES]:
             yield TRIAL_RULES["derivatives"].at(

@@ -337,6 +337,7 @@ def _answers_of_a_step(session: Session) -> Iterator[Finding]:
     _, ends, early, last = session.instance.doStep(begin, size)
     if early and not ends:
         yield TRIAL_RULES["calls"].at("fmi3DoStep", "it returns early, which was not allowed")
-    if not begin < last <= (begin + size) * (1 + 1e-9) and not ends:
+    end = begin + size
+    if not begin < last <= end + 1e-9 * abs(end) and not ends:
         found = f"lastSuccessfulTime is {last:.9g} s after the step from {begin:g} to "
-        yield TRIAL_RULES["calls"].at("fmi3DoStep", f"{found}{begin + size:.9g} s")
+        yield TRIAL_RULES["calls"].at("fmi3DoStep", f"{found}{end:.9g} s")

@@ -241,7 +241,7 @@ def _compared(
 ) -> Iterator[Finding | Note]:
     """Compare rows of outputs; steps of a fixed size may explain a difference."""
     bench, exact = runs.bench, exact[: len(found)]
-    differs = np.abs(found - exact) > allowed
+    differs = (np.abs(found - exact) > allowed) | (np.isfinite(found) != np.isfinite(exact))
     shares = differs.mean(axis=0)
     worst = int(np.argmax(shares))
     if shares[worst] <= _MOST:
