@@ -128,7 +128,7 @@ static bool changes_parameters(const Instance *self, const Reference references[
                                const double values[]) {
     for (size_t i = 0; i < count; i++)
         if (variables[references[i]].role == PARAMETER &&
-            values[i] != self->state.values[references[i]])
+            memcmp(values + i, self->state.values + references[i], sizeof *values) != 0)
             return true;
     return false;
 }
@@ -145,25 +145,24 @@ static Status set_values(Instance *self, const Reference references[], size_t co
     }
     const bool runs = !(self->state.mode & (INSTANTIATED | INITIALIZATION_MODE));
     const bool retuned = changes_parameters(self, references, count, values);
-    double behind[ROOM(EVENTS)];
+    double counts[ROOM(EVENTS)];
     leave_sides(self);
-    if (runs && retuned) note_samples(self, behind);
+    if (runs && retuned) note_samples(self, counts);
     for (size_t i = 0; i < count; i++) {
         const VariableInfo *variable = &variables[references[i]];
         if (variable->start_kind == CALCULATED && self->state.mode == INSTANTIATED)
             self->state.guesses[references[i] - FIRST_STATE] = values[i];
         self->state.values[references[i]] = values[i];
         self->state.stale |= dependents(self);
-        if (variable->role == STATE) restart_solver(self);
+        if (variable->role != STATE) continue;
+        restart_solver(self);
+        keep_instant(self);
     }
     reset_algebraics(self);
     if (!retuned) return OK;
     self->state.retuned = true;
     renew_constants(self);
-#if HAS_EVENTS
-    self->state.switching.next = NOT_PLANNED;
-#endif
-    if (runs) rebase_samples(self, behind);
+    if (runs) rebase_samples(self, counts);
     return OK;
 }
 

@@ -124,7 +124,7 @@ double next_event(const Instance *self) {
    its steps rounds the time in each of them. */
 static bool is_at_end(const Instance *self, double end) {
     const double step = end - self->state.values[TIME];
-    const double largest = fmax(fabs(end), fabs(self->state.start_time)); /* time on the way */
+    const double largest = largest_time(&self->state.switching, end);
     const double rounding = (8 + self->state.steps) * DBL_EPSILON * largest;
     return fabs(next_event(self) - end) <= fmin(rounding, step / 2);
 }
@@ -141,20 +141,23 @@ bool run_stopped(const Instance *self) {
     return self->state.switching.stopped > 0;
 }
 
-void note_samples(Instance *self, double behind[]) {
+void note_samples(Instance *self, double counts[]) {
     const Laws laws = laws_of(self);
     const Point at = present(self);
-    samples_at(&laws, &self->state.switching, &at, behind);
-    for (int i = 0; i < EVENTS; i++) behind[i] -= self->state.switching.conditions[i];
+    samples_at(&laws, &self->state.switching, &at, counts);
 }
 
-void rebase_samples(Instance *self, const double behind[]) {
+void rebase_samples(Instance *self, const double counts[]) {
     const Laws laws = laws_of(self);
     const Point at = present(self);
+    Switching *const both[] = {&self->state.switching, &self->state.before.switching};
     double now[ROOM(EVENTS)];
-    samples_at(&laws, &self->state.switching, &at, now);
-    for (int i = 0; i < EVENTS; i++)
-        if (rule_table[i].sampled) self->state.switching.conditions[i] = now[i] - behind[i];
+    samples_at(&laws, both[0], &at, now);
+    for (int k = 0; k < 2; k++) {
+        both[k]->next = NOT_PLANNED;
+        for (int i = 0; i < EVENTS; i++)
+            if (rule_table[i].sampled) both[k]->conditions[i] += now[i] - counts[i];
+    }
 }
 
 bool event_waits(const Instance *self) {
@@ -206,6 +209,10 @@ void remember_instant(Instance *self) {
     memcpy(before->x, state->values + FIRST_STATE, NX * sizeof *before->x);
     memcpy(before->modes, state->values + FIRST_MODE, MODES * sizeof *before->modes);
     memcpy(before->inputs, state->values + FIRST_INPUT, (NU - MODES) * sizeof *before->inputs);
+}
+
+void keep_instant(Instance *self) {
+    if (self->state.before.known == 1) self->state.before.known = 0;
 }
 
 /* Undo the event at a communication point if the importer has set other inputs there since: it

@@ -37,14 +37,18 @@ static void leave_instant(Instance *self);
 /* Keep what was before an event at a communication point, as other inputs may be set there. */
 static void remember_instant(Instance *self);
 
+/* That event does not happen again: a state has been set after it. */
+static void keep_instant(Instance *self);
+
 /* What inputs and parameters that have just been set make happen before a step of co-simulation, or
    an event that the importer has not handled; it waits for an importer that handles events. False
    where it fails or ends the run. */
 static bool start_over(Instance *self);
 
-/* Samples that have not happened yet: before a parameter is set, and after it. */
-static void note_samples(Instance *self, double behind[]);
-static void rebase_samples(Instance *self, const double behind[]);
+/* How many samples there have been, before a parameter is set; after it, those that have not
+   happened yet still do, and time events are planned anew. */
+static void note_samples(Instance *self, double counts[]);
+static void rebase_samples(Instance *self, const double counts[]);
 
 /* Whether a step of co-simulation ends at an event, which the importer handles in event mode; then
    it waits. `crossing` is the relation whose argument is 0, or -1. */
@@ -60,8 +64,9 @@ static bool event_waits(const Instance *self);
 #define run_stopped(self) ((void)(self), false)
 #define enter_instant(self) ((void)(self))
 #define leave_instant(self) ((void)(self))
-#define note_samples(self, behind) ((void)(self), (void)(behind))
-#define rebase_samples(self, behind) ((void)(self), (void)(behind))
+#define keep_instant(self) ((void)(self))
+#define note_samples(self, counts) ((void)(self), (void)(counts))
+#define rebase_samples(self, counts) ((void)(self), (void)(counts))
 #define take_waiting(self) ((void)(self), -1)
 #define event_waits(self) ((void)(self), false)
 #endif

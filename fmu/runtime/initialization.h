@@ -20,7 +20,7 @@ static Status set_up(Instance *self, const double *tolerance, double start, cons
         return refuse(self, ERROR, "relative tolerance %g is not positive and finite", *tolerance);
 
     State *state = &self->state;
-    state->values[TIME] = state->start_time = start;
+    state->values[TIME] = start;
     state->stop_time = stop ? *stop : INFINITY;
     state->tolerance = DEFAULT_TOLERANCE;
     state->experiment_set = true;

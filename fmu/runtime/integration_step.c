@@ -232,7 +232,7 @@ bool integrate_to(Instance *self, double end) {
     int relation = -1;
     if (!start_over(self) || refresh(self, ALGEBRAICS) != OK) return false;
     if (event_waits(self)) return true;
-    for (int n = 0; n < MOST_TRIALS && *time + length > *time; n++) {
+    for (int n = 0; n < MOST_TRIALS && (*time >= end || *time + length > *time); n++) {
         if (relation >= 0 || next_event(self) <= *time) {
             Outcome outcome;
             if (leave_to_importer(self, relation)) return true;

@@ -1,7 +1,8 @@
 /* Time derivatives of outputs along the solution, up to order 3, with inputs that move as declared.
 
    The first one is exact. The others are differences of fourth order of the first ones, at states a
-   small part of a step before and after the present one. */
+   small part of a step before and after the present one, and ever nearer to it, as outputs may vary
+   faster than states, until rounding counts. */
 #ifndef OUTPUT_RATES_H
 #define OUTPUT_RATES_H
 
@@ -16,7 +17,10 @@
 
 enum { MOST_ORDER = 3, TIMES = 5, HERE = 2 };
 
-static const double PART = 0.01; /* of a step, between two points */
+static const double PART = 0.01;  /* of a step, between two points at first */
+static const double FINER = 4;    /* how much nearer they come each time, ... */
+static const double LESS = 255;   /* ... which makes errors of fourth order smaller by 4^4 */
+static const double ROUNDED = 16; /* roundings of a rate */
 
 static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
@@ -63,22 +67,63 @@ static double difference(int order, double h, double rates[TIMES][N_VARIABLES], 
     return (16 * (near + near_before) - (far + far_before) - 30 * rates[HERE][k]) / (12 * h * h);
 }
 
+/* What rounding of rates up to a size makes of a difference. */
+static double rounding_of(int order, double h, double size) {
+    return ROUNDED * DBL_EPSILON * size / (order == 2 ? h : h * h);
+}
+
+/* The best derivatives so far, the last ones, and what the best may be off by; a row per order. */
+typedef struct {
+    double best[MOST_ORDER + 1][N_VARIABLES], last[MOST_ORDER + 1][N_VARIABLES];
+    double errors[MOST_ORDER + 1][N_VARIABLES], sizes[N_VARIABLES];
+} Differences;
+
+/* Take differences over another distance, where they change least. */
+static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES], bool first) {
+    for (uint32_t k = 0; k < N_VARIABLES; k++) {
+        self->sizes[k] = 0;
+        for (int i = 0; i < TIMES; i++) self->sizes[k] = fmax(self->sizes[k], fabs(rates[i][k]));
+        for (int order = 2; order <= MOST_ORDER; order++) {
+            const double now = difference(order, h, rates, k);
+            const double change = fabs(now - self->last[order][k]);
+            const double error = change / LESS + rounding_of(order, h, self->sizes[k]);
+            double *least = &self->errors[order][k];
+            if (!first && *least == INFINITY) *least = change;
+            if (first || !(*least <= error)) {
+                self->best[order][k] = now;
+                *least = first ? INFINITY : error;
+            }
+            self->last[order][k] = now;
+        }
+    }
+}
+
 static Status higher_rates(Instance *self, const Reference references[], size_t count,
                            const Order orders[], double values[]) {
     double rates[TIMES][N_VARIABLES];
-    const double h = PART * typical_step(self);
+    Differences found = {.sizes = {0}};
     const State from = self->state;
-    Status status = OK;
-    for (int k = 0; k < TIMES && status == OK; k++) {
-        status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
-        if (status == OK) status = all_rates(self, rates[k]);
-        self->state = from;
+    bool finer = true;
+    double h = PART * typical_step(self);
+    for (bool first = true; finer; first = false, h /= FINER) {
+        for (int k = 0; k < TIMES; k++) {
+            Status status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
+            if (status == OK) status = all_rates(self, rates[k]);
+            self->state = from;
+            if (status != OK) return status;
+        }
+        compare(&found, h, rates, first);
+        finer = false; /* unless rounding allows more */
+        for (size_t i = 0; i < count; i++) {
+            const uint32_t k = references[i];
+            finer |= orders[i] > 1 &&
+                     found.errors[orders[i]][k] > rounding_of(orders[i], h / FINER, found.sizes[k]);
+        }
     }
-    for (size_t i = 0; i < count && status == OK; i++)
-        if (orders[i] > 1) values[i] = difference(orders[i], h, rates, references[i]);
-    if (status == OK && !all_finite(values, (int)count))
-        return refuse(self, DISCARD, "a derivative is not finite");
-    return status;
+    for (size_t i = 0; i < count; i++)
+        if (orders[i] > 1) values[i] = found.best[orders[i]][references[i]];
+    if (!all_finite(values, (int)count)) return refuse(self, DISCARD, "a derivative is not finite");
+    return OK;
 }
 
 static Status rates_at(Instance *self, const Reference references[], size_t count,

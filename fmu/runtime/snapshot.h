@@ -15,7 +15,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 18 };
+enum { LAYOUT_VERSION = 19 };
 
 typedef struct {
     uint64_t magic;
@@ -104,7 +104,6 @@ static bool plausible(const Instance *self, const State *state) {
         state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
-    if (!isfinite(state->start_time)) return false;
     if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
     if (!all_finite(state->departure, ROOM(NU))) return false;
     if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;

@@ -135,7 +135,6 @@ typedef struct {
 #endif
     double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
     double left[ROOM(N_LIMITS)];   /* last communication step outside each limit, from 1 on */
-    double start_time;             /* from which on the importer adds its steps */
     double stop_time;              /* infinite where none was given */
     double tolerance;              /* relative, of co-simulation */
     double steps;                  /* of communication, taken since the start */

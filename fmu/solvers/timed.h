@@ -27,7 +27,7 @@ static inline Grid untimed_part(const Grid *grid, const Switching *s) {
     if (!(due < grid->end)) return part;
     part.points = 0;
     while (part.points < grid->points && grid->times[part.points] < due) ++part.points;
-    if (part.points > 0 && due - grid->times[part.points - 1] <= 8 * ulp(due))
+    if (part.points > 0 && due - grid->times[part.points - 1] <= 8 * ulp(largest_time(s, due)))
         due = grid->times[--part.points]; /* only rounding is between them */
     part.end = due;
     return part;

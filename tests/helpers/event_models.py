@@ -127,6 +127,26 @@ def counting(hundredths: int) -> Dae:
     return model.freeze()
 
 
+def holding() -> Dae:
+    """Return a motion at 1 m/s; y holds an input at samples, of which n is the number."""
+    model = Model("holding", stop_time=2.0)
+    x, u = model.state("x", "m", 0.0, "place"), model.input("u", "1", 0.0, "input")
+    n, y = model.discrete("n", "1", 0.0, "number"), model.discrete("y", "1", 0.0, "held")
+    period = model.parameter("period", "s", 0.25, "period", minimum=0.01)
+    model.derivative(x, 1.0)
+    model.every(period, {n: n + 1, y: u}, name="sample")
+    return model.freeze()
+
+
+def humming() -> Dae:
+    """Return a motion at 1 m/s over 1000 s with an output at 100 rad/s."""
+    model = Model("humming", stop_time=1000.0)
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1.0)
+    model.output("y", "1", ca.sin(100 * x), "sine")
+    return model.freeze()
+
+
 def stopping() -> Dae:
     """Return a motion at 1 m/s that ends at 0.777 m."""
     model = Model("stopping", stop_time=2.0)

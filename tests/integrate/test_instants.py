@@ -40,6 +40,16 @@ def test_samples_at_output_times_are_in_their_rows(solver, period):
     np.testing.assert_array_equal(np.diff(run["n"]).nonzero()[0] % period, period - 1)
 
 
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_a_sample_at_0_is_in_the_row_that_rounding_leaves_before_it(solver):
+    dae = event_models.counting(10)
+    times = np.add.accumulate([-1.0] + [0.1] * 11)
+    assert -1e-15 < times[10] < 0
+    for rows in (times, times[:11]):
+        run = simulate(dae, solver, start_time=-1.0, output_times=rows)
+        assert run["n"].tolist() == [0] * 10 + [1, 2][: len(rows) - 10]
+
+
 @pytest.mark.quick_rows("rk4")
 @pytest.mark.parametrize("solver", ["dop853", "ode8", "rk4", "erk"])
 def test_two_floors_of_a_steady_motion_are_no_zeno(solver):

@@ -4,7 +4,7 @@ import math
 
 import fmpy
 import pytest
-from casadi import sin
+from casadi import atan2, sin
 
 import cosim
 from casadi_models.dae import Model
@@ -136,6 +136,20 @@ def test_a_derivative_with_respect_to_a_parameter_counts_all_that_follows_from_i
     k, a = LATER["k"], LATER["a"]
     exact = [-(3 * k**2 + 2 * k) * math.sin(a) / 2, 0.5, 3 * k**2 / math.sin(a)]
     assert list(fmu.fmu.getDirectionalDerivative(*given)) == pytest.approx(exact, rel=1e-13)
+
+
+def test_a_parameter_of_minus_0_renews_what_follows_from_it(tmp_path):
+    model = Model("side", stop_time=1.0)
+    a = model.parameter("a", "1", 0.0, "a")
+    x = model.state("x", "1", 1.0, "state")
+    model.derivative(x, atan2(a, -1) * x)
+    file = cosim.export_fmu(model.freeze(), tmp_path / "side.fmu", fmi=2, tunable=["a"])
+    fmu = Instance(file, "ModelExchange")
+    fmu.begin()
+    for value, angle in ((0.0, math.pi), (-0.0, -math.pi), (0.0, math.pi)):
+        fmu.set(a=value)
+        assert fmu.get("der(x)") == pytest.approx([angle], rel=1e-15)
+    fmu.close()
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation"], indirect=True)

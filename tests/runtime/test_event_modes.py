@@ -1,5 +1,6 @@
 """Events in the runtime: saved states, event mode, time events, derivatives while sliding."""
 
+import math
 from ctypes import byref, c_double, c_int, c_void_p
 
 import pytest
@@ -10,6 +11,7 @@ BALL = ("time", "h", "v", "n", "der(h)", "der(v)", "der(n)", "mode_1", "event_in
 BLOCK = ("time", "x", "v", "der(x)", "der(v)", "mode_1", "friction", "event_indicator_1")
 LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
+HOLDING = ("time", "x", "n", "y", "der(x)", "der(n)", "der(y)", "u", "mode_1", "period")
 POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
 
@@ -18,12 +20,12 @@ def make(tmp_path_factory):
     """Make instances of a model: 0 for model exchange, 1 for co-simulation."""
     libraries, made = {}, []
 
-    def instance(name, names, interface, version=2, given=(), **options):
-        key = name, version
+    def instance(name, names, interface, version=2, given=(), solver="dop853", **options):
+        key = name, version, solver
         if key not in libraries:
             folder = tmp_path_factory.mktemp(name)
             dae = getattr(event_models, name)(*given)
-            event_models.write(folder, dae, "dop853", fmi=version, most_trials=2000)
+            event_models.write(folder, dae, solver, fmi=version, most_trials=2000)
             libraries[key] = harness.library(folder, version, folder)
         kind = harness.Fmu2 if version == 2 else harness.Fmu3
         made.append(kind(libraries[key], names, interface, **options))
@@ -177,6 +179,15 @@ def test_rates_of_outputs_at_an_event_count_no_input_that_was_asked_for(make):
     assert rate[0] in (pytest.approx(0), pytest.approx(-100))  # either side; -300 with that of u
 
 
+def test_rates_of_an_output_that_varies_faster_than_the_states_are_accurate(make):
+    fmu = make("humming", ("time", "x", "der(x)", "y"), 1).initialize({"stop": 1000.0})
+    assert fmu("DoStep", 0.0, 0.25, 1) == OK
+    rates, orders = reals(0, 0, 0), (c_int * 3)(1, 2, 3)
+    assert fmu("GetRealOutputDerivatives", fmu.refs(*["y"] * 3), 3, orders, rates) == OK
+    exact = [100 * math.cos(25), -(100**2) * math.sin(25), -(100**3) * math.cos(25)]
+    assert list(rates) == pytest.approx(exact, rel=1e-8)
+
+
 def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
     fmu = make("ball", BALL, 1, 3, events=True).initialize({"stop": 2.0})
     assert fmu("EnterStepMode") == OK
@@ -187,6 +198,30 @@ def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
     assert fmu.step(0.125, 0.125)[::2] == (OK, 0.25)
     fallen = [5 - 9.81 * 0.125**2 / 2, -9.81 * 0.125]
     assert fmu.get("h", "v") == pytest.approx(fallen, abs=1e-14)
+
+
+def test_a_state_that_is_set_after_an_event_at_a_communication_point_is_not_undone(make):
+    fmu = make("holding", HOLDING, 1, 3, events=True, early=False).initialize()
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.0, 0.25)[::2] == (OK, 0.25)
+    assert fmu("EnterEventMode") == OK
+    assert fmu.set(x=5.0, u=1.0) == OK
+    assert fmu("EnterStepMode") == OK
+    assert fmu.step(0.25, 0.125)[::2] == (OK, 0.375)
+    assert fmu.get("x", "n", "y") == pytest.approx([5.125, 2, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("period", "later"), [(0.125, 10), (0.2, 7), (0.25, 5), (0.5, 3)])
+def test_a_sample_with_a_new_input_happens_once_whatever_the_new_period(make, period, later):
+    fmu = make("holding", HOLDING, 1).initialize()
+    for k in range(3):
+        assert fmu("DoStep", 0.25 * k, 0.25, 1) == OK
+    assert fmu.get("n", "y") == [4, 0]
+    assert fmu.set(u=1.0, period=period) == OK
+    assert fmu("DoStep", 0.75, 0.0625, 1) == OK
+    assert fmu.get("n", "y") == [4 + (period == 0.2), 1]
+    assert fmu("DoStep", 0.8125, 1.1875, 1) == OK
+    assert fmu.get("n", "y") == [4 + later, 1]
 
 
 def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_before_it(make):
@@ -200,6 +235,22 @@ def test_a_sample_at_0_happens_at_a_communication_point_that_rounding_leaves_bef
         time += 0.1
     assert -1e-15 < time < 0
     assert fmu.get("time", "n") == [0, 1]
+
+
+def test_a_sample_at_0_happens_where_an_importer_of_model_exchange_comes_a_little_early(make):
+    fmu = make("counting", ("time", "x", "n", "der(x)", "der(n)", "mode_1"), 0, given=[10])
+    fmu.initialize({"start": -1.0})
+    update(fmu)
+    time = -1.0
+    for k in range(-9, 1):
+        time += 0.1
+        assert fmu("EnterContinuousTimeMode") == OK
+        move(fmu, time, time + 1, 0.0)
+        assert fmu("EnterEventMode") == OK
+        for _ in range(2):
+            assert update(fmu).next_time == pytest.approx((k + 1) / 10, abs=1e-15)
+            assert fmu.get("n") == [k == 0]
+    assert -1e-15 < time < 0
 
 
 def test_an_infinite_rate_is_no_event_and_no_part_of_a_state(make):
@@ -240,12 +291,14 @@ def test_a_long_message_ends_with_a_whole_character(make, digits):
     assert text in ("é" * (room // 2), "é" * (room // 2 - 1))
 
 
-def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make):
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "rosenbrock"])
+def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make, solver):
     def give(_, __, asks, *___):
         if asks:
             fmu.set(u=1.0)
 
-    fmu = make("left", LEFT, 1, 3, update=give, wanted=["u"]).initialize({"start": 1.0})
+    fmu = make("left", LEFT, 1, 3, solver=solver, update=give, wanted=["u"])
+    fmu.initialize({"start": 1.0})
     assert fmu.step(1.0, 1e-20)[::2] == (OK, 1.0)
     assert fmu.get("u") == [1.0]
     assert fmu.step(1.0, 0.125)[::2] == (OK, 1.125)

@@ -106,7 +106,7 @@ static inline void samples_at(const Laws *laws, const Switching *s, const Point 
     double *modes = modes_of(at), here[MODES + 1];
     Decision now = {.conditions = {0}};
     memcpy(here, modes, sizeof here - sizeof *here);
-    modes_of_time(laws, at, at->t + 8 * DBL_EPSILON * fabs(at->t), modes);
+    modes_of_time(laws, at, at->t + 8 * DBL_EPSILON * largest_time(s, at->t), modes);
     const bool valued = decide(laws, s, at, &now);
     for (int i = 0; i < EVENTS; i++)
         counts[i] = laws->rules[i].sampled && valued ? now.conditions[i] : s->conditions[i];

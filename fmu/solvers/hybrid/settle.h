@@ -138,7 +138,7 @@ static inline double apart(const Laws *laws, const Switching *s, const Point *at
         else if (t != at->t)
             value = timed_argument(laws, at, i, t);
         const double boundary = relation->floor ? round(value) : 0;
-        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(t * rate)) {
+        if (fabs(value - boundary) <= 8 * DBL_EPSILON * fabs(largest_time(s, t) * rate)) {
             if (s->next != NOT_PLANNED) return modes_of(at)[i];
             if (relation->linear) value = relation->floor ? boundary - (rate < 0) : rate;
         }
@@ -246,7 +246,7 @@ static inline bool rests_beyond(const Laws *laws, const Switching *s, const Poin
                                 const Seen *seen, int i) {
     if (laws->relations[i].floor || s->state[i] == SLIDES) return false;
     const double past = modes_of(at)[i] * past_boundary(laws, s, seen, i);
-    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= ROUNDING && past < -ROUNDING;
+    return seems_to_rest(s, seen, i) && past < -s->slack[i];
 }
 
 /* Notes what is 0 where modes are settled, and whether it stays so by definition. */
@@ -314,6 +314,7 @@ static inline Ending begin_modes(const Laws *laws, Switching *s, const Point *at
     memset(s, 0, sizeof *s);
     s->next = s->last = NOT_PLANNED;
     s->span = span;
+    s->start = at->t;
     for (int i = 0; i < MODES; i++) modes_of(at)[i] = 1;
     /* arguments may hold the modes of others, most of them of relations before them */
     for (int i = 1; i <= MODES; i++) guess_modes(laws, at, i);

@@ -27,6 +27,7 @@ typedef struct {
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
+    double start;
     double rounded; /* how often times and states were rounded: at events and in steps */
     double looked;  /* time at which an importer has looked last */
     double close;   /* events in succession that were close to each other */
@@ -51,6 +52,11 @@ static inline double time_scale(const Switching *s, double t) {
     return fmax(s->span > 0 ? fmin(1, s->span) : 1, fabs(t));
 }
 
+/* What rounding of a time is relative to: the largest one on the way to it. */
+static inline double largest_time(const Switching *s, double t) {
+    return fmax(fabs(s->start), fabs(t));
+}
+
 /* Relative distance of times that may be one, as rounding of events adds up. */
 static inline double located(const Switching *s) {
     return fmin(LOCATED + s->rounded * DBL_EPSILON, SAME_TIME);
@@ -62,19 +68,20 @@ static inline double ulp(double t) {
 
 /* The time of an instant; importers of model exchange may come a little early to a time event. */
 static inline double event_time(const Laws *laws, const Switching *s, double now) {
+    const double known = SAME_TIME * fmax(fabs(now), fabs(s->next));
     const bool early = laws->blind && s->next != NOT_PLANNED && s->next > now &&
-                       s->next - now <= SAME_TIME * fmax(fabs(now), fabs(s->next));
+                       s->next - now <= fmax(known, ROUNDING * fabs(s->start));
     return early ? s->next : now;
 }
 
 /* Whether a relation of time alone switches at a time. */
 static inline bool is_due(const Switching *s, int i, double t) {
-    return (s->due[i] == JUMPS ? s->next : s->due[i]) <= t + 8 * DBL_EPSILON * fabs(t);
+    return (s->due[i] == JUMPS ? s->next : s->due[i]) <= t + 8 * DBL_EPSILON * largest_time(s, t);
 }
 
 /* The next time event of a run that ends at a time, but for rounding; infinite: none. */
 static inline double next_until(const Switching *s, double end) {
-    const double rounding = 8 * ulp(end);
+    const double rounding = 8 * ulp(largest_time(s, end));
     if (s->next > end + rounding) return INFINITY;
     return s->next < end - rounding ? s->next : end;
 }

@@ -296,7 +296,8 @@ class _Course:
         for times in (self.series.breaks if self.series else np.empty(0), self.grid):
             k = int(times.searchsorted(due))
             for time in times[max(k - 1, 0) : k + 1].tolist():
-                if self.at.t < time and abs(due - time) <= 8 * np.spacing(abs(time)):
+                largest = max(abs(time), abs(self.grid[0]))  # on the way
+                if self.at.t < time and abs(due - time) <= 8 * np.spacing(largest):
                     return float(time)
         return due
 
