@@ -16,7 +16,9 @@ from helpers.oscillators import (
 from scipy.integrate import solve_ivp
 
 import cosim
+from casadi_models.dae import Model
 from cosim.api import simulate
+from cosim.errors import SolverError
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.solvers import SOLVERS
 
@@ -202,3 +204,17 @@ def test_compiled_and_interpreted_are_the_same_run(name, solver):
     assert (np.abs(one.values - two.values) / nominal).max() < 1e-13
     for key in ("steps", "rhs_calls", "jacobian_calls"):
         assert one.stats[key] == two.stats[key]
+
+
+@pytest.mark.parametrize("start", [-1.0, 0.0])
+def test_power_of_zero_is_that_of_its_exponent(start):
+    """v' = fmax(x, 0)^p at x = 0: 0 for p > 0, 1 for p = 0, infinite for p < 0."""
+    model = Model("power", stop_time=1.0)
+    x, v = model.state("x", "1", start, "x"), model.state("v", "1", 0.0, "v")
+    p = model.parameter("p", "1", 0.5, "exponent")
+    model.derivative(ca.vertcat(x, v), ca.vertcat(0, ca.fmax(x, 0) ** p))
+    dae = model.freeze()
+    assert cosim.simulate(dae).final["v"] == 0.0
+    assert cosim.simulate(dae, start_values={"p": 0.0}).final["v"] == pytest.approx(1, rel=1e-12)
+    with pytest.raises(SolverError, match="the derivative of v is not a number"):
+        cosim.simulate(dae, start_values={"p": -0.5})
