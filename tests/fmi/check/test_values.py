@@ -14,6 +14,8 @@ from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import try_apart
 from cosim.fmi.check.trials.derivatives import Known, derivatives
+from cosim.fmi.check.trials.derivatives import _adjoint as adjoint
+from cosim.fmi.check.trials.derivatives import _by_several as by_several
 from cosim.fmi.check.trials.derivatives import _compared as compared
 from cosim.fmi.check.trials.start import initialization, reset, start
 from cosim.fmi.check.trials.steps import calls, exchange
@@ -237,3 +239,19 @@ def test_output_that_is_no_number_hides_no_violated_bound(tmp_path):
     edit = set_attributes(VARIABLE.format("energy") + "/Real", max="1")
     path = with_description(own, tmp_path / "b.fmu", edit)
     assert found(path, bounds) == {(ADVICE, "bounds", "energy")}  # it is 2
+
+
+@pytest.mark.parametrize("compare", [by_several, adjoint])
+def test_a_sum_of_derivatives_that_is_not_finite_differs_from_one_that_is(compare):
+    """The first of two is NaN, the second wrong; then the derivatives by one are NaN instead."""
+    instance = SimpleNamespace(
+        getDirectionalDerivative=lambda *_: [np.nan, 1e9],
+        getAdjointDerivative=lambda *_: np.array([np.nan, 1e9]),
+    )
+    session = SimpleNamespace(instance=instance)
+    first, second = (SimpleNamespace(name=n, reference=n, nominal=1.0) for n in (0, 1))
+    knowns = [Known(one, None, required=True) for one in (first, second)]
+    forward = np.array([[1.0, 2.0], [3.0, 4.0]])
+    for expected in (2, 1):
+        assert len([*compare(session, [first, second], knowns, forward)]) == expected
+        forward[0, 0] = np.nan
