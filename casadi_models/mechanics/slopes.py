@@ -12,7 +12,7 @@ VANISHED = 1e-12  # of the largest entry: columns of a unit that rounding has le
 def in_sizes_of_units(slopes: DM, units: Sequence[str]) -> DM:
     """Return slopes whose columns are divided by the largest entry of all that have their unit.
 
-    Angles and lengths then count alike, in mechanisms of micrometers as in those of meters.
+    The unit of length then makes no difference: a mechanism may be of micrometers or of meters.
 
     Args:
         slopes: (m, n).
