@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from cosim.text import Violation, html_table, short_reason, text_table, violated
+from cosim.text import Violation, html_table, json_text, short_reason, text_table, violated
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},
@@ -63,3 +63,8 @@ def test_violation_is_a_text_that_knows_its_parts():
 )
 def test_violated_condition_says_what_is_wrong(condition, expected):
     assert violated(condition) == expected
+
+
+def test_json_has_null_for_numbers_that_are_not_finite():
+    facts = {"a": [1.5, float("nan"), (float("inf"), -0.0)], "b": {"c": -float("inf"), "d": True}}
+    assert json_text(facts) == '{"a": [1.5, null, [null, -0.0]], "b": {"c": null, "d": true}}'

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from html import escape
+from math import isfinite
 from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
@@ -182,7 +183,7 @@ class Table:
 
     def to_json(self) -> str:
         """Return the rows as JSON."""
-        return json.dumps([*self.rows], indent=1) + "\n"
+        return json_text([*self.rows], indent=1) + "\n"
 
     def __repr__(self) -> str:
         text = text_table(self.rows, digits=self.digits)
@@ -242,6 +243,19 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def json_text(facts: Any, indent: int | None = None) -> str:
+    """Return plain values as JSON, which has null where a number is not finite."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, float):
+            return value if isfinite(value) else None
+        if isinstance(value, Mapping):
+            return {key: plain(one) for key, one in value.items()}
+        return [*map(plain, value)] if isinstance(value, list | tuple) else value
+
+    return json.dumps(plain(facts), indent=indent, allow_nan=False)
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 
 import pytest
 
@@ -41,6 +42,14 @@ def test_a_failed_run_is_a_row_and_an_error_if_requested(strict, expected, capsy
     assert float(rows[0]["phi_final"]) == pytest.approx(1)
     assert "diameter = -1 m is out of its range" in rows[1]["reason"]
     assert "2 runs: 1 complete, 1 refused" in printed.err
+
+
+def test_numbers_of_a_failed_run_are_null_in_json(capsys):
+    """JSON has no NaN, and other programs do not read it."""
+    words = ["-p", "diameter=0.01,-1", "--times", "1", "--outputs", "phi", "--workers", "0"]
+    assert main(["sweep", "crank_shaft", *words, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert [row["phi_final"] for row in rows] == [pytest.approx(55.0, rel=1e-6), None]
 
 
 @pytest.mark.slow

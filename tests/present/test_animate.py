@@ -63,6 +63,16 @@ def test_page_holds_bodies_loads_paths_curves_and_validity(invalid):
         np.testing.assert_allclose(values, invalid[column["name"]], rtol=1e-6)
 
 
+def test_times_of_a_page_are_exact_far_from_zero():
+    """Near 1e6 s, floats of 4 bytes are 0.06 s apart."""
+    run = cosim.simulate("crank_shaft", start_time=1e6, stop_time=1e6 + 0.1)
+    [recorded] = facts_of(animate(run).page)["runs"]
+    numbers = np.frombuffer(gzip.decompress(base64.b64decode(recorded["packed"])), "<f4")
+    first = recorded["n"] * (1 + recorded["width"])
+    shown = recorded["begin"] + numbers[first : first + recorded["m"]].astype(float)
+    np.testing.assert_allclose(shown, run.time, rtol=0, atol=1e-8)
+
+
 def facts_of(page):
     text = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
     return json.loads(text[1])

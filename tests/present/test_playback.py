@@ -29,6 +29,19 @@ def test_frames_are_output_times_where_these_suffice():
     assert np.diff(frames).max() <= 1 / 30
 
 
+@pytest.mark.parametrize(
+    ("time", "frames"),
+    [
+        ([0.0, 0.01], [0.0, 0.01]),
+        ([0.0, 0.0, 0.05, 0.1], [0.0, 0.05, 0.1]),
+        ([3.0, 3.0], [3.0]),
+        ([3.0], [3.0]),
+    ],
+)
+def test_frames_of_few_times_and_of_a_time_that_occurs_twice(time, frames):
+    assert frame_times(np.array(time), 0.0, 20.0).tolist() == frames
+
+
 def test_too_many_frames_are_rejected():
     with pytest.raises(UsageError, match="more than 6000"):
         frame_times(np.linspace(0, 1000, 100_001), 1.0, 30.0)

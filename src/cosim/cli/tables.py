@@ -1,7 +1,6 @@
 """Results as text: aligned tables or JSON on standard output, whole files; and as figures."""
 
 import argparse
-import json
 import os
 import re
 import shutil
@@ -12,7 +11,7 @@ from typing import Any
 
 from cosim.files import write_atomically
 from cosim.presenters import presenter
-from cosim.text import text_table
+from cosim.text import json_text, text_table
 
 _COLORS = {"ok": "32", "DIFFERS": "31", "FAILED": "31"}
 _VERDICT = re.compile(rf"(?<= )({'|'.join(_COLORS)})(?=  |$)", re.MULTILINE)
@@ -23,7 +22,7 @@ def show_table(
 ) -> None:
     """Print rows that have the same keys; a terminal gets lines that fit, and colored verdicts."""
     if as_json:
-        print(json.dumps(rows, indent=1))
+        print(json_text(rows, indent=1))
     elif rows:
         text = text_table(rows, width=terminal_width(), digits=digits)
         if colors():
@@ -48,7 +47,7 @@ def draw(args: argparse.Namespace, kind: str, result: object) -> None:
 def report_files(args: argparse.Namespace, *paths: object, **facts: Any) -> None:
     """Name the files that were written: as a note, or with further facts as JSON."""
     if args.json:
-        print(json.dumps({"files": [str(path) for path in paths], **facts}))
+        print(json_text({"files": [str(path) for path in paths], **facts}))
     else:
         note(args, *paths)
 

@@ -23,7 +23,7 @@ from cosim.study.extremes.campaign import (
     family_rows,
     select_cases,
 )
-from cosim.study.extremes.oracles import OUTCOMES, CaseFinding, assess
+from cosim.study.extremes.oracles import OUTCOMES, CaseFinding, assess, run_case
 
 CASES = list(catalogue())
 SLOWEST = "lean 89.99 deg"  # its references fail after seconds, and then others are tried
@@ -115,6 +115,20 @@ def test_wrong_result_without_a_message_is_silent():
     wrong = replace(right, references=(Counterpart("bar_on_frame/reduced", "rk4"),), bound=1e-9)
     assert assess(right).outcome == "accurate"
     assert assess(wrong).outcome == "silent"
+
+
+@pytest.mark.parametrize("name", ["phi", "fx_A", "T"])
+def test_result_with_a_value_that_is_no_number_is_silent(name):
+    """Where the other variables are right, too: `max` would return one of their errors."""
+    case = find("crank: spin", "omega = 1e6 rad/s", "crank_shaft/driven")
+
+    def runner(case):
+        found = run_case(case)
+        values = found.values.copy()
+        values[-1, found.names.index(name)] = np.nan
+        return replace(found, values=values)
+
+    assert assess(case, runner).outcome == "silent"
 
 
 def test_case_without_a_reference_is_unverified():

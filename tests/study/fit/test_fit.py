@@ -293,6 +293,18 @@ def test_fitted_model_starts_with_the_fitted_values():
     assert found.compare(bound=0.2).agrees
 
 
+def test_error_of_a_temperature_is_shown_as_a_difference():
+    """Of the mean of n temperatures, shown in degC: its error in K is that in degC."""
+    model = cosim.Model("still", stop_time=2.0)
+    warmth = model.state("warmth", "K", 293.15, "warmth", display_unit="degC")
+    model.derivative(warmth, 0 * warmth)
+    kelvin = 293.15 + np.random.default_rng(0).normal(0, 0.1, len(TIMES))
+    measured = Trajectory("still", TIMES, (Column("warmth", "K"),), kelvin[:, None])
+    (row,) = fit(model.freeze(), measured, {"warmth": 290.0}).rows()
+    assert float(row["value"]) == pytest.approx(kelvin.mean() - 273.15, abs=1e-4)
+    assert row["error"] == pytest.approx(kelvin.std(ddof=1) / np.sqrt(len(TIMES)), rel=1e-6)
+
+
 @pytest.mark.slow
 def test_fmu_is_fitted_by_finite_differences(tmp_path):
     path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")
@@ -405,6 +417,38 @@ def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
     found = fit(DECAY, noisy(0), ["k"])
     with pytest.raises(UsageError, match=r"decay: a scene names its model; give model="):
         found.write_scene(tmp_path / "third.toml")
+
+
+@pytest.mark.parametrize("speed", [np.float64(50.0), np.int64(50)])
+def test_scene_holds_start_values_of_any_type(tmp_path, speed):
+    measured = cosim.simulate("crank_shaft", stop_time=1, outputs=["phi"])
+    found = fit("crank_shaft", measured, {"alpha": (1.0, 50.0)}, start_values={"omega": speed})
+    found.write_scene(tmp_path / "own.toml")
+    values = cosim.read_scene(tmp_path / "own.toml").request.values
+    assert values == pytest.approx({"alpha": 10.0, "omega": 50.0}, rel=1e-6)
+
+
+PUSHED = """
+import cosim
+
+def build():
+    model = cosim.Model("pushed")
+    x, force = model.state("x", "m", 0.0, "x"), model.input("force", "m/s", 0.5, "force")
+    model.derivative(x, force - x)
+    model.output("twice", "m", 2 * x, "twice x")
+    model.start_through(x, "twice")
+    return model.freeze()
+"""
+
+
+def test_scene_has_inputs_and_alternative_start_values_where_they_are_read(tmp_path):
+    (tmp_path / "own.py").write_text(PUSHED)
+    measured = record({"x": 2 + np.exp(-TIMES)})
+    given = {"twice": 6.0}  # x = 3
+    found = fit(f"{tmp_path}/own.py:build", measured, {"force": 1.0}, start_values=given)
+    found.write_scene(tmp_path / "own.toml")
+    values = cosim.read_scene(tmp_path / "own.toml").request.values
+    assert values == pytest.approx({"force": 2.0, "twice": 6.0}, rel=1e-6)
 
 
 def test_command_draws_measurements_over_a_run(tmp_path):

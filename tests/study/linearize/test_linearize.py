@@ -108,6 +108,42 @@ def test_linearization_at_a_time_uses_the_state_of_the_run():
     assert linear.steadiness.startswith("not steady")
 
 
+def test_command_linearizes_a_scene_with_its_series(capsys):
+    assert main(["linearize", "bicycle_steer_kick", "--at", "1.2", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found["u"] == [2.0, 0.0, 0.0]
+    assert found["x"][found["states"].index("delta")] != 0  # without the kick it runs straight
+
+
+def test_time_after_the_end_of_a_run_is_rejected():
+    model = Model("falling")
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1 + 0 * x)
+    model.output("y", "m", x**2, "square")
+    model.stop(x > 0.5, "x is large")
+    dae = model.freeze()
+    assert linearize(dae, at=0.25).C[0, 0] == pytest.approx(0.5, rel=1e-9)
+    with pytest.raises(ParameterError, match=r"at = 1 s is after .* at 0.5 s, where x is large"):
+        linearize(dae, at=1.0)
+
+
+def test_inputs_have_the_values_of_their_series_at_the_time():
+    """x' = u - x with u = 2 t."""
+    model = Model("driven", stop_time=2.0)
+    x, u = model.state("x", "1", 1.0, "x"), model.input("u", "1", 0.0, "u")
+    model.derivative(x, u - x)
+    model.output("y", "1", u * x, "product")
+    dae = model.freeze()
+    series = cosim.InputSeries(("u",), np.array([0.0, 2.0]), np.array([[0.0], [4.0]]))
+    found = linearize(dae, at=1.0, inputs=series)
+    assert found.x[0] == pytest.approx(3 / np.e, rel=1e-6)  # 2 t - 2 + 3 exp(-t)
+    assert found.u[0] == 2.0
+    np.testing.assert_array_equal(found.C, [[2.0]])
+    assert found.rates[0] == pytest.approx(2 - 3 / np.e, rel=1e-6)
+    with pytest.raises(UsageError, match="u follows a time series"):
+        linearize(dae, inputs=series, along={"u": [0.0, 1.0]})
+
+
 def test_cyclic_states_influence_only_each_other():
     dae = cosim.load("bicycle/independent")
     names = [dae.states[i].name for i in without_influence(influence(dae))]

@@ -7,7 +7,9 @@ import pytest
 import cosim
 from casadi_models.dae import Model
 from cosim.errors import FmuError, InitialConditionError
+from cosim.model.values import assign
 from cosim.study.linearize.linearize import linearize
+from cosim.study.linearize.period import period_of
 
 PERIOD, DECAY = 0.5, np.exp(-0.5)
 
@@ -124,6 +126,15 @@ def test_period_of_a_coefficient_is_read_from_its_formula(law, period):
     t = np.linspace(0, period, 200_001)
     mean = np.mean(2 + np.array(ca.Function("f", [model.t], [law(model.t)]).map(len(t))(t))[0][:-1])
     assert np.log(found.A[0, 0].real) == pytest.approx(-mean * period, rel=1e-4)
+
+
+@pytest.mark.parametrize("period", [49.0, 98.0, 0.25])  # 49 (1 / 49) is below 1
+def test_sawtooth_has_a_period_although_its_slopes_differ_by_rounding(period):
+    model = Model("sawtooth")
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, -(2 + model.t - period * ca.floor(model.t / period)) * x)
+    dae = model.freeze()
+    assert period_of(dae, assign(dae)) == pytest.approx(period, rel=1e-15)
 
 
 @pytest.mark.parametrize("law", [ca.exp, ca.sqrt, lambda t: t, lambda t: t * ca.sin(t)])

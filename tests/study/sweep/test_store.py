@@ -11,11 +11,13 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
+from casadi_models.dae import Model
 from cosim.errors import ExportError, UsageError
 from cosim.study.sweep.block import COMPLETE, Block
 from cosim.study.sweep.reductions import Keep, moments_of
 from cosim.study.sweep.samples import Samples
 from cosim.study.sweep.store import Layout, Store, stored_samples
+from cosim.study.sweep.sweep import sweep
 from cosim.trajectory import Column
 
 zarr = pytest.importorskip("zarr")
@@ -210,3 +212,33 @@ def test_a_disk_that_is_full_from_the_start_leaves_nothing(tmp_path, monkeypatch
         Store.created(layout(), target)
     assert str(caught.value) == f"cannot create {target}: {os.strerror(errno.ENOSPC)}"
     assert list(tmp_path.iterdir()) == []
+
+
+def _with_names(parameter, output):
+    model = Model("named", stop_time=1.0)
+    x = model.state("x", "m", 1.0, "place")
+    rate = model.parameter(parameter, "1/s", 1.0, "rate")
+    model.derivative(x, -rate * x)
+    model.output(output, "m", 2 * x, "twice")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("name", ["steps", "status", "reached", "x_final"])
+def test_a_varied_quantity_has_the_name_of_no_result(tmp_path, name):
+    given = {name: [2.0, 3.0]}
+    keep = {"keep": ["trajectories", "final"], "workers": 0}
+    found = sweep(_with_names(name, "y"), given, store=tmp_path / "s", **keep)
+    np.testing.assert_array_equal(found.samples.columns[name], [2.0, 3.0])
+    assert [{2.0, 3.0} & {*row.values()} for row in found.rows()] == [{2.0}, {3.0}]
+    stored = found.to_xarray()
+    np.testing.assert_array_equal(stored[f"{name}_start"], [2.0, 3.0])
+    np.testing.assert_array_equal(stored["steps"], found.steps)
+    np.testing.assert_allclose(stored["x_final"], np.exp([-2.0, -3.0]), rtol=1e-4)
+    again = sweep(_with_names(name, "y"), store=tmp_path / "s", resume=True, **keep)
+    np.testing.assert_array_equal(again.samples.columns[name], [2.0, 3.0])
+
+
+@pytest.mark.parametrize("name", ["steps", "reason"])
+def test_a_trajectory_with_the_name_of_another_result_is_rejected(name):
+    with pytest.raises(UsageError, match=rf"under the name '{name}'.*leave it out of outputs"):
+        sweep(_with_names("rate", name), {"rate": [1.0]}, keep=["trajectories"], workers=0)

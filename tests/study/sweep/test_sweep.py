@@ -376,6 +376,11 @@ def test_wrong_arguments_are_rejected_before_any_run(growth):
         cosim.sweep(growth, {"rate": [1.0]}, resume=True)
 
 
+def test_a_run_from_the_end_has_its_reason(growth):
+    found = cosim.sweep(growth, {"rate": [0.5, 2.0]}, keep=["trajectories"], workers=0)
+    assert found.run(-1).status == found.run(1).status == found.reasons[1]
+
+
 @pytest.mark.slow
 def test_sobol_indices_of_a_linear_number_are_its_shares():
     pytest.importorskip("SALib")

@@ -1,7 +1,6 @@
 """`cosim fit MODEL|SCENE.toml|FILE.fmu DATA.csv ...`: values that fit measurements."""
 
 import argparse
-import json
 from functools import partial
 from typing import Any
 
@@ -14,6 +13,7 @@ from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.fit.fit import fit
 from cosim.study.fit.result import Fit
+from cosim.text import json_text
 
 _FORMS = "A:B, A:C:B or VALUE[UNIT]"
 
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         _write(found, args.output_file, reference)
         note(args, args.output_file)
     if args.json:
-        print(json.dumps(_as_json(found), indent=1))
+        print(json_text(_as_json(found), indent=1))
         return 0
     print(f"{found}\n")
     show_table(found.rows())

@@ -1,13 +1,13 @@
 """`cosim info [SUBJECT]`: a list of all models and scenes, or the facts of one."""
 
 import argparse
-import json
 from collections.abc import Iterator
 from typing import Any
 
 from cosim.cli.tables import show_table, terminal_width
 from cosim.model.catalogue import models
 from cosim.scene import figures_file, shipped_scenes
+from cosim.text import json_text
 from cosim.toml_file import read_toml
 
 
@@ -26,14 +26,14 @@ def run(args: argparse.Namespace) -> int:
             return 0
         print()
     found = info(args.model)
-    print(json.dumps(found.to_dict(), indent=1) if args.json else found.text(terminal_width()))
+    print(json_text(found.to_dict(), indent=1) if args.json else found.text(terminal_width()))
     return 0
 
 
 def _list(args: argparse.Namespace) -> None:
     rows, scenes = models().rows, list(_scenes())
     if args.json:
-        print(json.dumps({"models": rows, "scenes": scenes}, indent=1))
+        print(json_text({"models": rows, "scenes": scenes}, indent=1))
         return
     show_table(rows)
     print("\nscenes, for simulate, export, crosscheck, tradeoff, plot and info")

@@ -1,7 +1,6 @@
 """`cosim linearize MODEL|FILE.fmu`: A, B, C, D and eigenvalues, at a state or along a parameter."""
 
 import argparse
-import json
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -21,7 +20,7 @@ from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.study.linearize.linearization import Linearization, Mode
 from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
-from cosim.text import csv_text
+from cosim.text import csv_text, json_text
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,7 +35,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         request = scene_from(args).request
         model, start, outputs = request.dae, dict(request.values), request.outputs
-    evaluate = partial(run_apart, function=linearize) if foreign else linearize
+    evaluate: Any = partial(run_apart, function=linearize)
+    if not foreign:
+        evaluate = partial(linearize, inputs=request.inputs)
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
         points = [*numbers_in("--at", args.at)]
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError("-o writes the matrices of a single point; give one time")
         found[0].to_csv(args.output_file)
     if args.json:
-        print(json.dumps([_as_json(linear) for linear in found], indent=1))
+        print(json_text([_as_json(linear) for linear in found], indent=1))
         return 0
     for i, linear in enumerate(found):
         _show(linear, matrices=not args.output_file, first=i == 0)
@@ -76,7 +77,7 @@ def _along(
     draw(args, "eigenvalues", found)
     crossings = [crossing.row(name) for crossing in found.crossings]
     if args.json:
-        print(json.dumps({"eigenvalues": found.rows(), "crossings": crossings}, indent=1))
+        print(json_text({"eigenvalues": found.rows(), "crossings": crossings}, indent=1))
         return 0
     if crossings:
         show_table(crossings)

@@ -1,11 +1,11 @@
 """`cosim sensitivity MODEL|SCENE.toml`: derivatives of a run, the largest first."""
 
 import argparse
-import json
 
 from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import draw, note, show_table
 from cosim.study.sensitivity.sensitivity import DERIVATIVE_TOLERANCE, sensitivity
+from cosim.text import json_text
 
 ROWS_PER_OUTPUT = 12
 
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     rows = found.ranking()
     if args.json:
         check = None if found.check is None else vars(found.check)
-        print(json.dumps({"derivatives": rows, "check": check}, indent=1))
+        print(json_text({"derivatives": rows, "check": check}, indent=1))
         return 0
     by = len(found.targets)
     shown = [row for i, row in enumerate(rows) if args.verbose or i % by < ROWS_PER_OUTPUT]

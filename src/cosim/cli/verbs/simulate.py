@@ -1,7 +1,6 @@
 """`cosim simulate MODEL|SCENE.toml|FILE.fmu`: one run."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.series.csv_file import UNIT_KINDS
+from cosim.text import json_text
 from cosim.trajectory import Trajectory
 
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
-        text = json.dumps(head | {"stats": dict(run.stats), "values": columns}) + "\n"
+        text = json_text(head | {"stats": dict(run.stats), "values": columns}) + "\n"
         write_text(args.output_file, text)
     elif args.at is not None and args.output_file is None:
         show_table(_at_times(run, args.units), digits=10)

@@ -195,11 +195,14 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
     rows = np.hstack(parts)
     known, missing = {**run}, np.full(len(run), np.nan)
     curves = (known.get(name, missing) for name in names)
-    numbers = np.concatenate([played.time, rows.T.ravel(), run.time, *curves]).astype("<f4")
+    begin = run.time[0]  # the times after it are as exact as their span allows
+    times = [own - begin for own in (played.time, run.time)]
+    numbers = np.concatenate([times[0], rows.T.ravel(), times[1], *curves]).astype("<f4")
     shapes = [[*s.size, *s.at.tolist(), *s.along.tolist()] for s in played.solids]
     return {
         "title": played.title,
         "packed": packed(numbers.tobytes()),
+        "begin": float(begin),
         "n": n,
         "m": len(run.time),
         "width": rows.shape[1],

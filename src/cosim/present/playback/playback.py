@@ -111,13 +111,15 @@ def frame_times(time: Vector, turn_rate: float, frames_per_second: float) -> Vec
         turn_rate: Angular speed of the body that turns fastest, rad/s.
         frames_per_second: Smallest number of frames in a second of the run.
     """
+    time = np.unique(time)  # at an event, one may occur twice
     if len(time) < 2:
         return time
     gaps = np.diff(time)
     span, per_second = float(time[-1] - time[0]), max(frames_per_second, turn_rate / LARGEST_TURN)
     per_second = min(per_second, 2 * MOST_FRAMES / span)  # of which there are too many
     stride = int(1 / (gaps[0] * per_second) + 1e-9)
-    if stride and np.ptp(gaps[:-1]) < 1e-6 * gaps[0] and gaps[-1] <= gaps[0] * (1 + 1e-6):
+    uneven = np.abs(gaps[:-1] - gaps[0]).max(initial=0.0)
+    if stride and uneven < 1e-6 * gaps[0] and gaps[-1] <= gaps[0] * (1 + 1e-6):
         chosen = time[::stride]
         if chosen[-1] < time[-1]:
             chosen = np.append(chosen, time[-1])

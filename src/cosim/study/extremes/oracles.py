@@ -1,6 +1,6 @@
 """Errors of extreme cases, measured against closed forms, invariants and independent runs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, lru_cache
 from math import isfinite
 from time import perf_counter
@@ -120,7 +120,7 @@ def _crank(case: Case, run: Trajectory) -> float:
     }
     force = mass * length * (omega**2 + abs(alpha)).max()
     floors = {"phi": 1.0, "T": force * length}
-    return max(
+    return _largest(
         _relative(run[name], value, floors.get(name, force if name[0] == "f" else 0.0))
         for name, value in exact.items()
     )
@@ -131,7 +131,7 @@ def _at_rest(case: Case, run: Trajectory) -> float:
 
 
 def _upright(_: Case, run: Trajectory) -> float:
-    return float(max(np.abs(run[name]).max() for name in ("phi", "delta", "psi", "yP")))
+    return _largest(np.abs(run[name]).max() for name in ("phi", "delta", "psi", "yP"))
 
 
 def _energy(_: Case, run: Trajectory) -> float:
@@ -141,7 +141,7 @@ def _energy(_: Case, run: Trajectory) -> float:
 def _bicycle(case: Case, run: Trajectory) -> float:
     """Drift of the free bicycle: energy (1), gap of the front wheel (m), its slip (m/s)."""
     drifts = (np.abs(run[name]).max() for name in ("loop_closure", "slip_1", "slip_2", "slip_3"))
-    return float(max(_energy(case, run), *drifts))
+    return _largest((_energy(case, run), *drifts))
 
 
 def _jacobi(_: Case, run: Trajectory) -> float:
@@ -168,7 +168,7 @@ def _against_reference(case: Case, run: Trajectory) -> float:
         raise SolverError(f"no reference: {true}")
     own = {name for model in (run.model, true.model) for name in _model_of(model).own_meanings}
     names = [name for name in run.names if name in true.names and name not in own]
-    return max(_relative(run[n], true[n], run.column(n).nominal) for n in names)
+    return _largest(_relative(run[n], true[n], run.column(n).nominal) for n in names)
 
 
 @lru_cache(maxsize=16)  # cases of several solvers share a reference
@@ -198,6 +198,11 @@ ORACLES: dict[str, Callable[[Case, Trajectory], float]] = {
     "reference": _against_reference,
     "upright": _upright,
 }
+
+
+def _largest(errors: Iterable[float]) -> float:
+    """Return the largest error; not a number if one of them is none, unlike `max`."""
+    return float(np.max([*errors]))
 
 
 def _relative(value: Vector, true: Any, floor: float) -> float:

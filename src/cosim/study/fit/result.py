@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_models import CATALOG
-from casadi_models.dae import Dae, Start
+from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.errors import UsageError, naming_arguments_of
 from cosim.files import write_atomically
@@ -147,12 +147,13 @@ class Fit:
         if colon:
             own = Path(os.path.relpath(f"{path}.py", folder)).as_posix()
             reference = f"{own}:{function}"
-        states = {v.name for v in dae.states if v.start_kind is Start.EXACT}
+        home = {v.name: "parameters" for v in dae.parameters}
+        home |= {v.name: "inputs" for v in dae.inputs}
         lines = [f"model = {json.dumps(reference or dae.full_name)}"]
-        for section, belongs in (("parameters", False), ("start", True)):
-            chosen = {name: v for name, v in self.settled.items() if (name in states) == belongs}
+        for section in ("parameters", "start", "inputs"):
+            chosen = {n: v for n, v in self.settled.items() if home.get(n, "start") == section}
             if chosen:
-                lines += ["", f"[{section}]", *(f"{n} = {v!r}" for n, v in chosen.items())]
+                lines += ["", f"[{section}]", *(f"{n} = {float(v)!r}" for n, v in chosen.items())]
         return "\n".join(lines) + "\n"
 
     def write_scene(self, target: str | os.PathLike[str], model: str = "") -> None:
@@ -169,8 +170,8 @@ class Fit:
         found = []
         for column, value in zip(self.columns, self.x, strict=True):
             low, high = self.intervals[column.name]
-            numbers = np.array([value, self.errors[column.name], low, high])
-            shown, error, low, high = (float(number) for number in column.shown(numbers))
+            shown, low, high = map(float, column.shown(np.array([value, low, high])))
+            error = float(column.shown(np.array(self.errors[column.name]), difference=True))
             known = not np.isnan(error)  # a value at its bound has no error
             found.append(
                 {

@@ -2,19 +2,22 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TypedDict, Unpack, overload
 
 import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
+from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
 from cosim.model.catalogue import load
+from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs
-from cosim.model.values import Values, assign, number
+from cosim.model.values import Values, number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
 from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
@@ -32,6 +35,7 @@ class PointKeywords(TypedDict, total=False):
     at: str | float
     start_values: Mapping[str, float] | None
     outputs: Sequence[str] | None
+    inputs: InputSeries | None
     solver: str | None
     relative_tolerance: float | None
 
@@ -69,13 +73,15 @@ def linearize(
             method finds from there, and in which states that influence nothing else may move on; or
             a time of a run, s. `start_values`: values by name that replace initial values,
             parameters or inputs, SI. `outputs`: names of y; all outputs of the model when None.
+            `inputs`: time series of some inputs of a model, which have their values at that time.
             `solver`, `relative_tolerance`: settings of the run up to a time; see `simulate`.
 
     Raises:
         UnknownName: A name does not exist.
         UsageError: An FMU can be linearized at its initial state only, and not along a parameter;
             or `along` does not name one variable.
-        ParameterError: The values along a parameter do not increase or decrease.
+        ParameterError: The values along a parameter do not increase or decrease; or the run ends
+            before the time.
         InitialConditionError: The initial values contradict the constraints, or there is no
             equilibrium near them; or an eigenvalue crosses the imaginary axis at an unsteady state.
         CosimError: See `simulate` and `linearized_fmu`.
@@ -96,7 +102,11 @@ def linearize(
     ((name, values),) = along.items()
     if not isinstance(model, Dae):
         raise UsageError(f"{model}: an FMU is linearized at one state; leave along out")
-    given = options.get("start_values") or {}
+    given, inputs = options.get("start_values") or {}, options.get("inputs")
+    if inputs is not None and name in inputs.names:
+        raise UsageError(
+            f"{model.full_name}: {name} follows a time series; leave the series or along out"
+        )
 
     def point(value: float) -> Linearization:
         at_value: PointKeywords = {**options, "start_values": {**given, name: value}}
@@ -111,6 +121,7 @@ def _linearized(
     at: str | float = START,
     start_values: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
+    inputs: InputSeries | None = None,
     solver: str | None = None,
     relative_tolerance: float | None = None,
 ) -> Linearization:
@@ -120,13 +131,17 @@ def _linearized(
     if not isinstance(at, str):
         at = number("linearize", "at", at)
     if not isinstance(model, Dae):
+        if inputs is not None:
+            raise UsageError(f"{model}: the inputs of an FMU are constant here; leave inputs out")
         if at != START:
             raise UsageError(
                 f"{model}: an FMU can be linearized at its initial state only; set start_values, "
                 "or linearize the model"
             )
         return linearized_fmu(model, start_values, outputs)
-    dae, values = model, assign(model, start_values)
+    dae, time = model, at if isinstance(at, float) else 0.0
+    values = requested(dae, start_values=start_values, inputs=inputs).numbers
+    values = replace(values, u=input_values(dae, np.array([time]), values, inputs)[:, 0])
     names = tuple(v.name for v in dae.output_variables)
     if outputs is not None:
         names = checked_outputs(dae, outputs)
@@ -141,10 +156,17 @@ def _linearized(
             solver=solver,
             relative_tolerance=relative_tolerance,
             outputs=states,
+            inputs=inputs,
         )
-        x, time, point = run(request).values[-1], at, f"{at:g} s of a run"
+        found = run(request)
+        if found.time[-1] < at:
+            raise ParameterError(
+                f"{dae.full_name}: at = {at:g} s is after the end of the run at "
+                f"{found.time[-1]:g} s, where {found.stats['stop']}; choose an earlier time"
+            )
+        x, point = found.values[-1], f"{at:g} s of a run"
     else:
-        x, time, point = consistent_start(dae, 0.0, values), 0.0, "its initial state"
+        x, point = consistent_start(dae, time, values), "its initial state"
     over = None
     if period is not None:
         over = PeriodMap(dae, values, time, period, isinstance(at, str), point)

@@ -15,7 +15,7 @@ from cosim.errors import InitialConditionError
 from cosim.model.values import Values
 
 MOST_PERIODS = 1000  # of one period, in a common period
-SAME_RATIO = 1e-12  # relative difference of equal ratios of periods
+SAME_RATIO = 1e-12  # relative difference of equal ratios of periods, and of equal slopes
 
 
 class Samples(NamedTuple):
@@ -174,6 +174,11 @@ def _result(code: int, terms: Sequence[_InTime]) -> _InTime:
     return _APERIODIC
 
 
+def _sum(a: float, b: float) -> float:
+    """Return the sum of two slopes; 0 where rounding alone is left, as of t - 49 floor(t / 49)."""
+    return 0.0 if abs(a + b) <= SAME_RATIO * max(abs(a), abs(b)) else a + b
+
+
 def _product(a: _InTime, b: _InTime) -> float:
     if a.number is not None:
         return a.number * b.slope
@@ -189,8 +194,8 @@ def _quotient(a: _InTime, b: _InTime) -> float:
 
 
 _LINEAR: dict[int, Callable[..., float]] = {
-    ca.OP_ADD: lambda a, b: a.slope + b.slope,
-    ca.OP_SUB: lambda a, b: a.slope - b.slope,
+    ca.OP_ADD: lambda a, b: _sum(a.slope, b.slope),
+    ca.OP_SUB: lambda a, b: _sum(a.slope, -b.slope),
     ca.OP_NEG: lambda a: -a.slope,
     ca.OP_TWICE: lambda a: 2 * a.slope,
     ca.OP_MUL: _product,

@@ -27,6 +27,7 @@ from cosim.trajectory import Column
 if TYPE_CHECKING:
     import xarray as xr
 
+_OF_RUNS = ("status", "reason", "steps", "reached", "blocks")  # which every store has
 _STATISTICS = ("mean", "variance", "minimum", "maximum")  # of all runs
 _MOMENTS = ("count", "mean", "squares", "low", "high")  # of each block
 _BLOCKS = "blocks/"  # a group of the store for what concerns blocks; xarray does not show it
@@ -72,8 +73,9 @@ class Layout:
 
     @property
     def varied(self) -> dict[str, str]:
-        """Array of each varied quantity, by name; a trajectory may have the name itself."""
-        taken = {column.name for column in self.columns} if self.keep.trajectories else set()
+        """Array of each varied quantity, by name; another array may have the name itself."""
+        taken = {*_OF_RUNS, *self.number_units}
+        taken |= {column.name for column in self.columns if self.keep.trajectories}
         return {n: f"{n}_start" if n in taken else n for n in self.samples.columns}
 
     def described(self) -> dict[str, Any]:
@@ -282,6 +284,11 @@ class Store:
         self, name: str, dimensions: tuple[str, ...], content: Any, attributes: Mapping[str, Any]
     ) -> None:
         """Add an array with a content, or with one number for every entry that is not computed."""
+        if name in (*self._variables, "blocks"):
+            raise UsageError(
+                f"sweep: an output cannot be kept under the name '{name}', which another result "
+                "has; rename it, or leave it out of outputs"
+            )
         self._variables[name] = dimensions, attributes
         shape = tuple(self._lengths[dimension] for dimension in dimensions)
         if self._files is None:

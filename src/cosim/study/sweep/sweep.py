@@ -160,6 +160,7 @@ class SweepResult:
         """
         self._need_trajectories()
         whole("sweep", "run", i, -len(self.states), len(self.states) - 1)
+        i %= len(self)
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
@@ -190,10 +191,12 @@ class SweepResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
+        taken = {"run", "status", "reason", "steps", *self.numbers}
+        varied = {f"{n}_start" if n in taken else n: v for n, v in self.samples.columns.items()}
         return [
             {
                 "run": i,
-                **{name: float(column[i]) for name, column in self.samples.columns.items()},
+                **{name: float(column[i]) for name, column in varied.items()},
                 "status": str(STATES[self.codes[i]]),
                 "reason": self.reasons.get(i, ""),
                 "steps": int(self.steps[i]),

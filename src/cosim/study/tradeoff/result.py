@@ -1,6 +1,5 @@
 """Result of a trade-off study: measurements, Pareto fronts and provenance."""
 
-import json
 import os
 import platform
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from cosim.study.pareto import pareto_front
 from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.fixed_steps import Order, StabilityLimit
 from cosim.study.tradeoff.measurement import COSTS, Measurement
-from cosim.text import MOST_LINES, csv_text, html_table, text_table
+from cosim.text import MOST_LINES, csv_text, html_table, json_text, text_table
 from cosim.verify.reference import Reference
 
 
@@ -135,7 +134,7 @@ class Tradeoff:
             "missing": self.missing(),
             "measurements": rows,
         }
-        return json.dumps(facts, indent=1) + "\n"
+        return json_text(facts, indent=1) + "\n"
 
 
 def provenance(reference: Reference) -> dict[str, str]:

@@ -179,12 +179,13 @@ class Player {
   }
 }
 
-/* A recorded run: all of it in one packed array of 4-byte floats, column by column. */
+/* A recorded run: all of it in one packed array of 4-byte floats, column by column; times count from the start. */
 async function recorded(run, columns) {
   const numbers = new Float32Array(await unpacked(run.packed)), { n, m, width } = run;
   let next = 0;
   const take = (count) => numbers.subarray(next, (next += count));
-  const time = take(n), rows = take(n * width), curve_time = take(m);
+  const times = (count) => Float64Array.from(take(count), (t) => run.begin + t);
+  const time = times(n), rows = take(n * width), curve_time = times(m);
   const values = Array.from({ length: columns }, () => take(m));
   return { ...run, time, rows, across: 1, down: n, curves: { time: curve_time, values } };
 }
