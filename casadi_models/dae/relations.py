@@ -232,6 +232,8 @@ class LawsWithModes:
         if code in (ca.OP_ASIN, ca.OP_ACOS):
             argument = 1 - base * base
             edge = applied(code, [ca.sign(base)])
+        elif code != ca.OP_SQRT:
+            edge = ca.if_else(terms[1] > 0, 0, ca.if_else(terms[1] < 0, ca.inf, 1))
         within = argument > 0
         # without a branch of infinite slope, which CasADi's derivatives would multiply by 0
         inner = ca.if_else(within, base, 0.5)

@@ -18,7 +18,7 @@ from casadi import DM, SX
 from casadi_models.dae import Model
 from casadi_models.mechanics import conditions, kane
 from casadi_models.mechanics.mechanism import CLOSING_RATE
-from casadi_models.mechanics.slopes import determined
+from casadi_models.mechanics.slopes import determined, in_sizes_of_units
 
 CLOSED, ROLLING = "the configuration constraints hold", "the velocity constraints hold"
 
@@ -151,7 +151,9 @@ def constrain(
     for states, law, meaning in ((q, closure, CLOSED), (u, slip, ROLLING)):
         without = [variable.name not in given for variable in model.declared(states)]
         order = sorted(range(n), key=without.__getitem__)
-        found, left = determined(at_start(ca.jacobian(law, states))[:, order])
+        slopes = at_start(ca.jacobian(law, states))
+        slopes = in_sizes_of_units(slopes, [variable.unit for variable in model.declared(states)])
+        found, left = determined(slopes[:, order])
         if left:
             raise ValueError(f"constraint {left[0] + 1} repeats others at the start; leave it out")
         if found:

@@ -16,7 +16,7 @@ from casadi import DM, SX
 from casadi_models.dae import Model
 from casadi_models.dae.expressions import column
 from casadi_models.mechanics import conditions, kane
-from casadi_models.mechanics.slopes import determined, first_repeating
+from casadi_models.mechanics.slopes import determined, first_repeating, in_sizes_of_units
 
 CLOSING_RATE = 1.0  # 1/s
 DAMPING = 1e-10  # of the steps to the nearest closed position, of the squares of the slopes
@@ -152,21 +152,20 @@ def mechanism(
     )
     if not g.numel():
         return _open(parts)
-    jacobian = ca.jacobian(g, q)
     moving = parts.moving
     if independent is None:
-        found, place = _dependent(parts, loops or {}, jacobian[:, moving])
+        found, place = _dependent(parts, loops or {}, moving)
         dependent = [moving[i] for i in found]
     else:
         chosen = [variable.name for variable in model.declared(independent)]
         dependent = [i for i in moving if names[i] not in chosen]
         if len(dependent) != g.numel():
-            _dependent(parts, loops or {}, jacobian[:, moving])  # one too many by repetition?
+            _dependent(parts, loops or {}, moving)  # one too many by repetition?
             raise ValueError(
                 f"{g.numel()} loops for {len(moving)} coordinates leave {len(moving) - g.numel()} "
                 f"independent ones; {len(chosen)} are named"
             )
-        _dependent(parts, loops or {}, jacobian[:, dependent])
+        _dependent(parts, loops or {}, dependent)
     model.start_equation(q[dependent], g, "closure of the loops")
     model.invariant("position_drift", q[moving], g, "the loops are closed")
     if independent is None:
@@ -345,12 +344,15 @@ def _reject_foreign(model: Model, rows: Mapping[str, SX], own: SX, way_out: str)
                 )
 
 
-def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> tuple[list[int], DM]:
-    """Return the coordinates that the loops determine, later ones first, and all at the start.
+def _dependent(
+    parts: _Parts, loops: Mapping[str, SX], chosen: Sequence[int]
+) -> tuple[list[int], DM]:
+    """Return which of some coordinates the loops determine, later ones first, and all at the start.
 
     Raises:
         ValueError: Names a loop that repeats others there.
     """
+    jacobian = ca.jacobian(parts.g, parts.q)[:, chosen]
     at_start = parts.model.numbers(ca.vertcat(parts.g, ca.vec(jacobian)), but=parts.q)
     m, n = jacobian.shape
     full = ca.Function(
@@ -365,7 +367,8 @@ def _dependent(parts: _Parts, loops: Mapping[str, SX], jacobian: SX) -> tuple[li
         slope = ca.densify(full(place))  # its rows may repeat each other
         damped = slope @ slope.T + DAMPING * ca.sumsqr(slope) * DM.eye(m)
         place -= slope.T @ ca.solve(damped + DM.eye(m) * (ca.sumsqr(slope) == 0), residual)
-    slopes = ca.reshape(law(place)[m:], m, n)
+    units = [parts.model.declared(parts.q)[i].unit for i in chosen]
+    slopes = in_sizes_of_units(ca.reshape(law(place)[m:], m, n), units)
     found, left = determined(slopes)
     if left:
         name = _rows(loops)[first_repeating(slopes, left[0])]

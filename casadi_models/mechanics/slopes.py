@@ -1,9 +1,32 @@
 """Slopes of constraints, a row for each: what they determine, and which one repeats others."""
 
+from collections.abc import Sequence
+
 import casadi as ca
 from casadi import DM
 
 REPEATED = 1e-9  # of the largest entry: what is left of a row that repeats others
+VANISHED = 1e-12  # of the largest entry: columns of a unit that rounding has left
+
+
+def in_sizes_of_units(slopes: DM, units: Sequence[str]) -> DM:
+    """Return slopes whose columns are divided by the largest entry of all that have their unit.
+
+    The unit of length then makes no difference: a mechanism may be of micrometers or of meters.
+
+    Args:
+        slopes: (m, n).
+        units: Of the columns, (n,).
+
+    Example:
+        >>> in_sizes_of_units(DM([[4, 2, 5]]), ["m", "m", "rad"])
+        DM([[1, 0.5, 1]])
+    """
+    tops = [float(ca.norm_inf(column)) for column in ca.horzsplit(slopes)]
+    sizes = {unit: max(t for t, u in zip(tops, units, strict=True) if u == unit) for unit in units}
+    least = VANISHED * max(tops, default=0.0)
+    factors = DM([1 / sizes[unit] if sizes[unit] > least else 1.0 for unit in units])
+    return slopes @ ca.diag(ca.reshape(factors, len(units), 1))
 
 
 def determined(slopes: DM) -> tuple[list[int], list[int]]:

@@ -255,7 +255,9 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
         Part *part = system->parts + p;
         copy_numbers(&place, &part->next_event, 1, in);
         copy_count(&place, &part->violations, in);
-        if (in) part->waits = 0;
+        if (!in) continue;
+        part->waits = 0;
+        part->in_step_mode = part->event_mode; /* as between macro steps */
     }
     if (!in) return count;
     system->time = self->now.t;

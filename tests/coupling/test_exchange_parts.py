@@ -214,6 +214,7 @@ def lamp(folder):
         dae=model.freeze(),
         fmi2EnterContinuousTimeMode="limit = 1; return CALL;",
         fmi2EnterEventMode="limit = 0; return CALL;",
+        fmi2SetFMUstate="limit = 1; return CALL;",
         fmi2SetReal="for (size_t i = 0; i < n; i++) if (limit && vr[i] == REF(u)) return fmi2Error;"
         " return CALL;",
     )
@@ -257,6 +258,23 @@ def test_discrete_inputs_are_set_in_event_mode(source, way, lamps):
     late = way["macro_step"] / 2 if way.get("method") in ("gauss_seidel", "jacobi") else 0.0
     lit = 0.26 + 0.26  # from 0 and from 0.52 s on
     assert run.final["lamp.x"] == pytest.approx(lit + 0.5 - late, rel=1e-9)
+
+
+def test_discrete_inputs_wait_for_event_mode_after_a_run_that_ended_in_it(lamps):
+    model = cosim.Model("clock")
+    t = model.state("t", "1", 0.0, "time")
+    model.derivative(t, 1)
+    model.stop(t > 0.6, "it is late")
+    parts = {"lamp": lamps["lamp"], "blinker": blinker(), "clock": model.freeze()}
+    wires = {"lamp.u": "blinker.d", "lamp.f": "blinker.y"}
+    with cosim.open(cosim.couple(parts, wires), macro_step=0.02) as session:
+        session.advance(to=0.3)
+        saved = session.save()
+        session.advance(to=1.0)
+        assert "it is late" in session.stop
+        session.restore(saved)
+        session.advance(to=0.5)
+        assert session["lamp.x"] == pytest.approx(0.26 + 0.5**2 / 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("way", [{"accuracy": 1e-6}, {"macro_step": 0.02}], ids=str)

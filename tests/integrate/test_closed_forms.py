@@ -16,7 +16,9 @@ from helpers.oscillators import (
 from scipy.integrate import solve_ivp
 
 import cosim
+from casadi_models.dae import Model
 from cosim.api import simulate
+from cosim.errors import SolverError
 from cosim.integrate.integrator import start_vectors
 from cosim.integrate.solvers import SOLVERS
 
@@ -202,3 +204,29 @@ def test_compiled_and_interpreted_are_the_same_run(name, solver):
     assert (np.abs(one.values - two.values) / nominal).max() < 1e-13
     for key in ("steps", "rhs_calls", "jacobian_calls"):
         assert one.stats[key] == two.stats[key]
+
+
+@pytest.mark.parametrize("start", [-1.0, 0.0])
+def test_power_of_zero_is_that_of_its_exponent(start):
+    """v' = fmax(x, 0)^p at x = 0: 0 for p > 0, 1 for p = 0, infinite for p < 0."""
+    model = Model("power", stop_time=1.0)
+    x, v = model.state("x", "1", start, "x"), model.state("v", "1", 0.0, "v")
+    p = model.parameter("p", "1", 0.5, "exponent")
+    model.derivative(ca.vertcat(x, v), ca.vertcat(0, ca.fmax(x, 0) ** p))
+    dae = model.freeze()
+    assert cosim.simulate(dae).final["v"] == 0.0
+    assert cosim.simulate(dae, start_values={"p": 0.0}).final["v"] == pytest.approx(1, rel=1e-12)
+    with pytest.raises(SolverError, match="the derivative of v is not a number"):
+        cosim.simulate(dae, start_values={"p": -0.5})
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "erk"])
+def test_events_in_microseconds_after_a_late_start_change_no_energy(solver):
+    """x^2 + v^2 = 1 at 10^6 rad/s, of which the times of 12 days leave 2e-4 rad."""
+    model = Model("fast", stop_time=1e-5, output_interval=1e-6)
+    x, v, n = (model.state(name, "1", float(name == "x"), name) for name in "xvn")
+    model.derivative(ca.vertcat(x, v, n), 1e6 * ca.vertcat(v, -x, ca.if_else(x > 0.5, 1, 0)))
+    start = 2.0**20
+    run = simulate(model.freeze(), solver=solver, start_time=start, stop_time=start + 1e-5)
+    assert len(run) == 11
+    np.testing.assert_allclose(np.hypot(run["x"], run["v"]), 1, atol=1e-3)  # before: 1.1 and 1.4

@@ -321,3 +321,27 @@ def test_refusals():
         small(speed_starts={"d": 1.0})
     with pytest.raises(ValueError, match=r"1 loops for 3 coordinates .* 1 are named"):
         small(lambda q: {"l": q[0] - q[1]}, independent=0)
+
+
+@pytest.mark.parametrize("size", [4e-7, 1e6])
+def test_a_mechanism_of_any_size_has_the_motion_of_that_of_one_meter(size):
+    """Slider and crank without loads: what is the unit of length does not count."""
+
+    def slider(length):
+        model = Model("slider", stop_time=0.5)
+        rod = -np.arcsin(np.sin(1.0) / 2)
+        a, b = model.state("a", "rad", 1.0, "crank"), model.state("b", "rad", rod, "rod")
+        x = model.state("x", "m", (np.cos(1.0) + 2 * np.cos(rod)) * length, "slider")
+        u = SX.sym("u", 3)
+        inertias = [
+            *(kane.InertialTerm(u[i], length**2 * u[i]) for i in (0, 1)),
+            kane.InertialTerm(u[2], u[2]),
+        ]
+        gap = ca.vertcat(cos(a) + 2 * cos(b) - x / length, sin(a) + 2 * sin(b)) * length
+        q = ca.vertcat(a, b, x)
+        mechanism(model, q, u, inertias, loops={"rod": gap}, speed_starts={"a": 1.0})
+        return cosim.simulate(model.freeze(), compiled=False).final
+
+    usual, found = slider(1.0), slider(size)
+    assert found["a"] == pytest.approx(usual["a"], abs=1e-6)
+    assert found["x"] / size == pytest.approx(usual["x"], abs=1e-6)

@@ -36,6 +36,8 @@ def test_equal_start_and_stop_give_one_time():
 def test_stop_that_rounding_moved_makes_no_extra_interval():
     assert len(time_grid(0, 0.1 + 0.2, 0.1)) == 4
     assert len(time_grid(0, 1, 1 / 3 * (1 + 1e-9))) == 4
+    late = 2.0**20  # after which 1e-5 s are 1.00001e-5 s
+    assert len(time_grid(late, late + 1e-5, 1e-6)) == 11
 
 
 @pytest.mark.parametrize("interval", [0.01, 0.1, 1 / 3, 0.007])

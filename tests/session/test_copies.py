@@ -306,6 +306,7 @@ def of_later_zip(saved):
         (lambda c: c.reset({"rate": [1, 2]}), ParameterError, "shape"),
         (lambda c: c.reset([1.0]), UsageError, "values by name"),
         (lambda c: c.reset(only=[5]), UsageError, "numbers from 0 to 4"),
+        (lambda c: c.reset(only=[-1]), UsageError, "numbers from 0 to 4"),
         (lambda c: c.reset(only=[1, 1]), UsageError, "names a copy twice"),
         (lambda c: c.reset(only="one"), UsageError, "numbers from 0 to 4"),
         (lambda c: c.restore(b""), UsageError, "no saved copies"),

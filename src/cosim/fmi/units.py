@@ -54,6 +54,11 @@ class Measured(NamedTuple):
         usual = parse_unit(name.strip("[]")) if name else None  # tables have units in brackets
         return cls() if name is None else cls(name, defined.get(name) or usual)
 
+    def difference(self) -> "Measured":
+        """Return the unit of differences."""
+        definition = self.definition and self.definition.difference()
+        return Measured(self.name, definition, is_difference=True)
+
 
 def change_of_units(
     sink: str, driven: Measured, source: str, driving: Measured

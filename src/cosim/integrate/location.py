@@ -26,7 +26,7 @@ from cosim.text import Ending
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _CLOSE = 1e-5  # share of a fresh run within which the cubic to its end tells the state
 _SAME_INSTANT = 32  # units in the last place of a time
-_SAME_TIME = 1e-12  # relative distance of times
+_SAME_TIME = 1e-12  # of the span: too short a step
 
 
 class Located(NamedTuple):
@@ -236,7 +236,8 @@ class Piece:
     def state_at(self, k: int, t: float) -> tuple[Vector, Vector] | None:
         """Return states and unknowns at a time after the k-th one, or None where that fails."""
         times = np.array([self.times[k], t])
-        if t - times[0] <= _SAME_TIME * max(min(1.0, self.span), abs(t)):  # too short a step
+        rounding = _SAME_INSTANT * np.spacing(abs(times[0]))
+        if t - times[0] <= max(_SAME_TIME * min(1.0, self.span), rounding):  # too short a step
             return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
         found = self._run(self.problem, times, self.x[k], self.z[k])
         if found.reason == INTERRUPTED:

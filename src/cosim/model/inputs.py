@@ -7,9 +7,10 @@ from functools import cached_property
 from itertools import pairwise
 from math import inf, nextafter
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
@@ -243,6 +244,12 @@ class FollowedInputs(InputSeries):
         return rows
 
 
+def rounding_of(times: ArrayLike, start: float) -> Any:
+    """Return by how much times of a run from a start may miss those of samples, s."""
+    times = np.asarray(times)
+    return SAME_TIME * (times - start) + 4 * np.spacing(np.abs(times))
+
+
 def moved_to(grid: Vector, times: Vector) -> Vector:
     """Return times, of which those that miss a time of a grid by rounding are moved there.
 
@@ -253,8 +260,7 @@ def moved_to(grid: Vector, times: Vector) -> Vector:
     moved = times.copy()
     after = np.clip(np.searchsorted(grid, times), 0, len(grid) - 1)
     for near in (grid[after], grid[np.maximum(after - 1, 0)]):
-        rounding = SAME_TIME * (near - grid[0]) + 4 * np.spacing(np.abs(near))
-        same = np.abs(near - times) <= rounding
+        same = np.abs(near - times) <= rounding_of(near, float(grid[0]))
         moved[same] = near[same]
     return moved
 

@@ -42,7 +42,8 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
             f"numbers, {size / 1e9:.3g} GB; give a larger one"
         )
     whole = round(count)
-    if not whole or abs(count - whole) > min(1e-6 * max(1.0, count), _LONGER):
+    rounding = max(1e-6 * max(1.0, count), 2 * np.spacing(max(abs(start), abs(stop))) / interval)
+    if not whole or abs(count - whole) > min(rounding, _LONGER):
         whole = int(count) + 1
     grid = start + interval * np.arange(whole + 1)
     grid[-1] = stop

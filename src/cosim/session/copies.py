@@ -297,6 +297,8 @@ class Copies:
             return every
         chosen = np.asarray(only).ravel()
         try:
+            if chosen.dtype.kind == "i" and (chosen < 0).any():
+                raise IndexError
             rows: Integers = every[chosen if chosen.size else chosen.astype(int)]
         except IndexError:
             raise UsageError.of_type(

@@ -5,6 +5,7 @@ from helpers.described_files import described_file
 from helpers.ssp_files import component, connection, description, ends, package, system, values
 
 import cosim
+from cosim.coupling.connectors import End
 from cosim.errors import UsageError
 
 SOURCE = component("s", "source")
@@ -90,3 +91,25 @@ def test_unit_that_is_no_definition_is_rejected(read):
     wrong = units("furlong").replace('"201.168"', '"two"')
     with pytest.raises(UsageError, match=r"SystemStructure\.ssd: unit 'furlong' has a factor"):
         read(system("S", SOURCE), wrong)
+
+
+@pytest.mark.parametrize("unit", [None, "degC", "K"])
+@pytest.mark.parametrize("connector", [None, "degC", "K"])
+def test_connector_of_a_relative_quantity_has_differences(tmp_path, connector, unit):
+    """A difference of 5 K into a part, and that of its output, out of it."""
+    facts = ' relativeQuantity="true"'
+    file = described_file(tmp_path / "gain.fmu", "K", 'K="1"', facts=facts)
+    number = values(**{"in": 5})
+    if unit:
+        number = number.replace('value="5"', f'value="5" unit="{unit}"')
+    whole = system(
+        "S",
+        component("g", "gain", kinds={}),
+        connection("in", "g.u") + connection("g.y", "out"),
+        kinds={"unit": connector, "in": "input", "out": "output"},
+        bindings=number,
+    )
+    found = cosim.read_ssp(package(tmp_path / "case.ssp", [file], description(whole)))
+    assert found.start_values == {("g", "u"): 5.0}
+    for name, variable in (("in", "u"), ("out", "y")):
+        assert found.connectors[name].ends == (End(("g", variable), 1.0, 0.0),)

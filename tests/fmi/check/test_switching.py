@@ -2,6 +2,7 @@
 
 import os
 import zipfile
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import casadi as ca
@@ -22,6 +23,7 @@ from cosim.fmi.check.trials.start import initialization, start, time
 from cosim.fmi.check.trials.steps import _answers_of_a_step as answers_of_a_step
 from cosim.fmi.check.trials.steps import calls, steps
 from cosim.fmi.check.trials.switching import _compared as compared
+from cosim.fmi.check.trials.switching import _Switching as Switching
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import defaults
 
@@ -206,3 +208,37 @@ def test_a_step_may_end_where_it_is_to_end_before_time_0():
     session.bench = SimpleNamespace(step_size=lambda kind: 0.1)
     session.instance = SimpleNamespace(doStep=lambda t, size: (False, False, False, t + size))
     assert list(answers_of_a_step(session)) == []
+
+
+@pytest.mark.parametrize("start", [-1.0, 0.0, 2.0**20])
+def test_an_event_at_the_end_of_a_step_happens_there(start):
+    """Steps of 0.5 s of x' = 0, whose time event at the first end makes 1 of it."""
+    state = {"x": 0.0}
+
+    def update():
+        state["x"] = 1.0
+        return False, False, False, False, False, 0.0
+
+    instance = SimpleNamespace(
+        setTime=lambda _: None,
+        enterEventMode=lambda: None,
+        updateDiscreteStates=update,
+        enterContinuousTimeMode=lambda: None,
+    )
+    session = SimpleNamespace(
+        instance=instance,
+        next_event=start + 0.5,
+        values=lambda variables: np.array([state["x"] if v == "x" else 0.0 for v in variables]),
+        put_states=lambda x: state.update(x=float(x[0])),
+        all_of=lambda *_: np.empty(0),
+    )
+    bench = SimpleNamespace(
+        states=lambda: [("x", "der(x)")],
+        fmpy=SimpleNamespace(numberOfEventIndicators=0),
+        started=lambda _: nullcontext(session),
+        step_count=lambda _: 2,
+        start=start,
+    )
+    runs = Switching(bench, [], np.inf)
+    runs.access = lambda _: SimpleNamespace(get=lambda: [state["x"]])
+    assert runs.stepped(0.5, euler=True).ravel().tolist() == [1.0, 1.0]

@@ -1,5 +1,6 @@
 """Values of all types are those of the file, and those that were set; runs stay within bounds."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,10 +15,14 @@ from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, WRONG
 from cosim.fmi.check.isolated import try_apart
 from cosim.fmi.check.trials.derivatives import Known, derivatives
+from cosim.fmi.check.trials.derivatives import _adjoint as adjoint
+from cosim.fmi.check.trials.derivatives import _by_several as by_several
 from cosim.fmi.check.trials.derivatives import _compared as compared
 from cosim.fmi.check.trials.start import initialization, reset, start
+from cosim.fmi.check.trials.steps import _remembered as remembered
 from cosim.fmi.check.trials.steps import calls, exchange
 from cosim.fmi.check.trials.switching import switching
+from cosim.fmi.check.trials.values import _set_in_a_run as set_in_a_run
 from cosim.fmi.check.trials.values import bounds, defaults, settings
 
 VARIABLE = "ModelVariables/ScalarVariable[@name='{}']"
@@ -237,3 +242,47 @@ def test_output_that_is_no_number_hides_no_violated_bound(tmp_path):
     edit = set_attributes(VARIABLE.format("energy") + "/Real", max="1")
     path = with_description(own, tmp_path / "b.fmu", edit)
     assert found(path, bounds) == {(ADVICE, "bounds", "energy")}  # it is 2
+
+
+@pytest.mark.parametrize("compare", [by_several, adjoint])
+def test_a_sum_of_derivatives_that_is_not_finite_differs_from_one_that_is(compare):
+    """The first of two is NaN, the second wrong; then the derivatives by one are NaN instead."""
+    instance = SimpleNamespace(
+        getDirectionalDerivative=lambda *_: [np.nan, 1e9],
+        getAdjointDerivative=lambda *_: np.array([np.nan, 1e9]),
+    )
+    session = SimpleNamespace(instance=instance)
+    first, second = (SimpleNamespace(name=n, reference=n, nominal=1.0) for n in (0, 1))
+    knowns = [Known(one, None, required=True) for one in (first, second)]
+    forward = np.array([[1.0, 2.0], [3.0, 4.0]])
+    for expected in (2, 1):
+        assert len([*compare(session, [first, second], knowns, forward)]) == expected
+        forward[0, 0] = np.nan
+
+
+@pytest.mark.parametrize(("near", "far", "found"), [(1, 1, 0), (np.nan, 1, 1), (np.nan, np.nan, 0)])
+def test_a_variable_that_is_no_number_after_one_time_only_remembers_it(near, far, found):
+    times = list[float]()
+    session = SimpleNamespace(
+        bench=SimpleNamespace(step_size=lambda _: 0.1, start=0.0),
+        kind="ModelExchange",
+        next_event=np.inf,
+        instance=SimpleNamespace(setTime=times.append),
+        values=lambda _: np.array([near if len(times) < 3 else far]),
+    )
+    variable = SimpleNamespace(name="y", nominal=1.0)
+    assert len([*remembered(session, [variable])]) == found
+
+
+@pytest.mark.parametrize(("after", "found"), [(2.0, 0), (3.0, 1), (np.nan, 1)])
+def test_a_parameter_that_is_no_number_after_it_is_set_is_found(after, found):
+    """It is 2 and set to more in a run; a number that stays what it is set to is right."""
+    kept = [2.0]
+
+    def put(_, value):
+        kept[0] = value if after == 2.0 or value == 2.0 else after
+
+    session = SimpleNamespace(values=lambda _: kept, put=put)
+    parameter = SimpleNamespace(name="p", nominal=1.0, texts={})
+    bench = SimpleNamespace(reals=lambda *_: [parameter], started=lambda _: nullcontext(session))
+    assert len([*set_in_a_run(bench, "CoSimulation")]) == found

@@ -230,3 +230,14 @@ def test_formula_with_constants_drives_an_fmu(integrator):
     inputs = {"u": ("a*sin(w0*t)", {"a": 2.0, "w0": FREQUENCY})}
     run = cosim.simulate_fmu(integrator, interface="CoSimulation", inputs=inputs)
     assert np.abs(run["x"] - exact(run.time)).max() < STRAIGHT
+
+
+@pytest.mark.parametrize("interface", KINDS)
+def test_jump_soon_after_a_late_start_is_followed(integrator, interface):
+    """The input goes from 0 to 1 a quarter of a microsecond after 12 days."""
+    start, later = 2.0**20, 2.0**-22
+    times = [start - 1, start + later, start + later, start + 1]
+    series = cosim.InputSeries(("u",), times, [[0.0], [0.0], [1.0], [1.0]])
+    span = {"start_time": start, "stop_time": start + 4 * later, "output_interval": 4 * later}
+    run = cosim.simulate_fmu(integrator, interface=interface, inputs=series, **span)
+    assert run.final["x"] == pytest.approx(3 * later, rel=1e-2)  # measured 1e-3; before: 4 later

@@ -36,6 +36,18 @@ def test_run_ends_at_the_stop_time_and_keeps_the_interval(interface, fmi, fmus):
     assert run.stats["solver"] == f"fmpy {interface}"
 
 
+@VERSIONS
+@pytest.mark.parametrize(
+    ("tolerance", "reason"), [("0", "0.0 is not positive"), ("NaN", "nan is not finite")]
+)
+def test_tolerance_of_a_file_that_is_none_is_rejected(tolerance, reason, fmi, fmus, tmp_path):
+    edit = set_attributes("DefaultExperiment", tolerance=tolerance)
+    path = with_description(fmus["decay", fmi], tmp_path / "a.fmu", edit)
+    with pytest.raises(ParameterError, match=f"relative_tolerance of the file = {reason}"):
+        cosim.simulate_fmu(path)
+    assert cosim.simulate_fmu(path, relative_tolerance=1e-6).status == "complete"
+
+
 def test_output_called_time_does_not_take_the_place_of_the_time(fmus, tmp_path):
     rename = set_attributes("ModelVariables/*[@name='y']", name="time")
     path = with_description(fmus["decay", 2], tmp_path / "time.fmu", rename)

@@ -1,5 +1,6 @@
 """What drives each connector of an SSP file: declared connectors only, each driven at most once."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
@@ -82,6 +83,7 @@ class Connections:
                 open_ends += self._read(element, document, connection)
         self._direct(open_ends)
         self._reject_rings()
+        self._spread_differences()
 
     @property
     def driven(self) -> Iterator[Node]:
@@ -188,6 +190,19 @@ class Connections:
                 way[node] = self._drivers[node]
                 node = way[node].source
             checked.update(way)
+
+    def _spread_differences(self) -> None:
+        """Let connectors of systems have differences, which only variables of parts declare."""
+        links = defaultdict[Node, list[Node]](list)
+        for sink, driver in self._drivers.items():
+            links[sink].append(driver.source)
+            links[driver.source].append(sink)
+        left = [node for node, unit in self._units.items() if unit.is_difference]
+        while left:
+            for node in links[left.pop()]:
+                if node.place not in self._variables and not self.unit(node).is_difference:
+                    self._units[node] = self.unit(node).difference()
+                    left.append(node)
 
     def _drive(self, sink: Node, driver: Driver) -> None:
         if sink in self._drivers:

@@ -177,7 +177,9 @@ class _System:
             unit = unit if own.name is None else own
         with document.naming():
             number = value.in_unit(str(node), unit)
-        factor, offset = self._connections.change(steps, value.unit if unit.name is None else unit)
+        if unit.name is None:
+            unit = value.unit.difference() if unit.is_difference else value.unit
+        factor, offset = self._connections.change(steps, unit)
         return number if isinstance(number, str) else transformed(number, factor, offset)
 
     def _connector(self, name: str, declared: Declared, exposed: Sequence[Way]) -> Connector:

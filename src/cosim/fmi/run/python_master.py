@@ -31,7 +31,7 @@ from cosim.fmi.run.request import FmuRequest, MasterRun, nominals_of
 from cosim.fmi.run.typed_values import REALS, is_continuous
 from cosim.host.progress import doing
 from cosim.model.growth import Growth
-from cosim.model.inputs import SAME_TIME, InputSeries, moved_to
+from cosim.model.inputs import InputSeries, moved_to, rounding_of
 from cosim.model.times import one_time
 from cosim.model.troughs import Trough
 
@@ -247,8 +247,8 @@ class Clock:
         samples = _sample_times(self._series, request) if self._series else np.empty(0)
         ends = [request.closer.until] if request.closer else []
         self._events = np.union1d(samples, ends).tolist()
-        self.time = request.start
-        self._piece = self._series and _after(self._series, request.start)
+        self.time = self._start = request.start
+        self._piece = self._series and _after(self._series, request.start, request.start)
 
     def set(self, time: float) -> None:
         """Set the time and the continuous inputs."""
@@ -262,13 +262,13 @@ class Clock:
 
     def next_event(self, time: float) -> float:
         """Return the time of the next sample, s; infinity if there is none."""
-        after = time + SAME_TIME * abs(time)
+        after = time + rounding_of(time, self._start)
         return next((event for event in self._events if event > after), inf)
 
     def pass_event(self, time: float) -> None:
         """Follow the piece of the series that begins at an event."""
         if self._series is not None:
-            self._piece = _after(self._series, time)
+            self._piece = _after(self._series, time, self._start)
             self._followers.set_all(_values(self._piece, time))
 
 
@@ -350,7 +350,7 @@ def _step_with_inputs(
                 raise failures[0]
             if reached < b or ends:
                 return reached, ends
-        following = _after(series, end)
+        following = _after(series, end, request.start)
         if not slopes or following is not piece:
             followers.set_all(_values(following, end))
         return reached, ends
@@ -366,9 +366,9 @@ def _sample_times(series: InputSeries, request: FmuRequest) -> Vector:
     return np.unique(moved_to(request.points, series.time))
 
 
-def _after(series: InputSeries, time: float) -> InputSeries:
-    """Return the piece of a series between two jumps that follows a time, s."""
-    return series.around(time + SAME_TIME * abs(time))
+def _after(series: InputSeries, time: float, start: float) -> InputSeries:
+    """Return the piece of a series between two jumps that follows a time of a run, s."""
+    return series.around(time + rounding_of(time, start))
 
 
 def _values(series: InputSeries, time: float) -> list[float]:

@@ -224,11 +224,15 @@ def _times(
 
 def _tolerance(name: object, description: Any, relative: float | None) -> float | None:
     """Return the relative tolerance, by default the FMU's."""
-    if relative is None:
+    given = relative is not None
+    if not given:
         own = getattr(description.defaultExperiment, "tolerance", None)
-        return None if own is None else float(own)
-    relative = number(str(name), "relative_tolerance", relative, positive=True)
-    if relative > 0.1:
+        if own is None:
+            return None
+        relative = float(own)
+    what = "relative_tolerance" if given else "relative_tolerance of the file"
+    relative = number(str(name), what, relative, positive=True)
+    if given and relative > 0.1:
         raise ParameterError(
             f"{name}: relative_tolerance = {relative:g} is above 0.1; give a smaller one"
         )

@@ -244,7 +244,9 @@ def exchange(bench: Bench, kind: str) -> Iterator[Finding]:
             yield rule.at(kind, "it ends the run after a step of length 0")
         given = moved(session.values(states))
         session.put_states(given)
-        for i in np.flatnonzero(session.values(discrete) != before)[:MOST_NAMES]:
+        after = session.values(discrete)
+        changed = (after != before) & ~(np.isnan(after) & np.isnan(before))
+        for i in np.flatnonzero(changed)[:MOST_NAMES]:
             yield rule.at(discrete[i].name, "it is discrete, and changes with a state at no event")
         session.instance.completedIntegratorStep()
         slopes = "getDerivatives" if bench.second else "getContinuousStateDerivatives"
@@ -272,7 +274,8 @@ def _remembered(session: Session, variables: Sequence[Described]) -> Iterator[Fi
         found.append(session.values(variables))
     session.instance.setTime(start)
     allowed = _REMEMBERED * np.maximum(np.abs(found[1]), [v.nominal for v in variables])
-    for i in np.flatnonzero(np.abs(found[0] - found[1]) > allowed)[:MOST_NAMES]:
+    same = (np.abs(found[0] - found[1]) <= allowed) | np.isnan(found).all(axis=0)
+    for i in np.flatnonzero(~same)[:MOST_NAMES]:
         text = f"it is {found[0][i]:.10g} and {found[1][i]:.10g} at one time, after other times"
         yield TRIAL_RULES["exchange"].at(variables[i].name, text)
 

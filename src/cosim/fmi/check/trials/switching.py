@@ -17,6 +17,7 @@ from cosim.fmi.run.arrays import Access
 from cosim.fmi.run.description import Interface, by_name
 from cosim.fmi.run.instance import access_to, enter_continuous_time, update_discrete_states
 from cosim.fmi.run.typed_values import NUMERIC
+from cosim.model.times import one_time
 
 _TIGHT = 1e-10  # relative tolerance of the reference
 _SHARE = 1e-4  # of a range: a difference that counts
@@ -75,7 +76,8 @@ class _Switching:
                     k = (k + 2 * k2 + 2 * k3 + slope(end, x + size * k3)) / 6
                 slope(end, x + size * k)
                 passed = session.all_of("getEventIndicators", indicators) > 0
-                if (passed != signs).any() or end >= next_event * (1 - 1e-12):
+                due = end >= next_event or one_time(end, next_event, bench.start)
+                if (passed != signs).any() or due:
                     instance.enterEventMode()
                     next_event = enter_continuous_time(instance)
                     passed = session.all_of("getEventIndicators", indicators) > 0

@@ -205,7 +205,7 @@ def _set_in_a_run(bench: Bench, kind: str) -> Iterator[Finding]:
             with suppress(Exception):  # it may reject a value
                 session.put(parameter, wanted := altered(parameter, value, _NEAR))
                 (value,) = session.values([parameter])
-                if abs(value - wanted) > _NOISE * abs(wanted):
+                if np.isfinite(wanted) and not abs(value - wanted) <= _NOISE * abs(wanted):
                     found = f"it was set to {wanted:.10g} in a run and is {value:.10g}"
                     yield TRIAL_RULES["settings"].at(parameter.name, found)
 
