@@ -33,6 +33,7 @@ from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import reduce
 from cosim.model.request import OnInvalid, RunRequest
+from cosim.model.times import one_time
 from cosim.model.values import Values, assign, checked, listed, number, plain_values
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
@@ -334,7 +335,7 @@ class _Task:
             passed = np.searchsorted(events, times)
             found &= passed == np.searchsorted(self.events[0], times)
             moved = np.setdiff1d(events, common)  # samples stay where they are
-            found &= ~np.isclose(times[:, None], moved[None], rtol=1e-9, atol=1e-9).any(axis=1)
+            found &= ~one_time(times[:, None], moved, self.request.times.start).any(axis=1)
         return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:
