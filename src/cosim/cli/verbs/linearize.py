@@ -18,6 +18,7 @@ from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
+from cosim.model.solver import Goal
 from cosim.study.linearize.linearization import Linearization, Mode
 from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 from cosim.text import csv_text, json_text
@@ -33,11 +34,19 @@ def run(args: argparse.Namespace) -> int:
         start = start_values_of_fmu(args)
         outputs = names_in(args.outputs) if args.outputs else None
     else:
-        request = scene_from(args).request
+        scene = scene_from(args)
+        request = scene.request
         model, start, outputs = request.dae, dict(request.values), request.outputs
     evaluate: Any = partial(run_apart, function=linearize)
     if not foreign:
-        evaluate = partial(linearize, inputs=request.inputs)
+        if args.at is not None and isinstance(request.solver, Goal):
+            raise UsageError(
+                f"{scene.name}: a run up to a time has no accuracy and no budget here; give a "
+                "solver and a tolerance"
+            )
+        evaluate = partial(linearize, inputs=request.inputs, start_time=request.times.start)
+        if not isinstance(request.solver, Goal):
+            evaluate = partial(evaluate, solver=request.solver)
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
         points = [*numbers_in("--at", args.at)]
