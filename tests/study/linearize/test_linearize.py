@@ -159,6 +159,16 @@ def test_time_after_the_end_of_a_run_is_rejected():
         linearize(dae, at=1.0)
 
 
+def test_model_of_one_state_without_outputs_has_empty_rows():
+    model = Model("alone", stop_time=1.0)
+    x = model.state("x", "1", 2.0, "x")
+    model.derivative(x, 1 - 3 * x)
+    found = linearize(model.freeze())
+    assert (found.A.tolist(), found.rates.tolist()) == ([[-3.0]], [-5.0])
+    assert (found.C.shape, found.D.shape, found.y.shape) == ((0, 1), (0, 0), (0,))
+    assert len(found.rows()) == 1
+
+
 def test_inputs_have_the_values_of_their_series_at_the_time():
     """x' = u - x with u = 2 t."""
     model = Model("driven", stop_time=2.0)
