@@ -314,6 +314,10 @@ def test_fmu_is_fitted_by_finite_differences(tmp_path):
     assert found.subject.derivatives.startswith("finite differences")
     with pytest.raises(UsageError, match="there is no model of it"):
         found.scene()
+    once = record({"x": [3 * np.exp(-2.0)], "y": [3 * np.exp(-2.0)]}, [1.0])
+    assert fit(path, once, {"k": 1.0}, start_values={"x": 3.0}).values["k"] == pytest.approx(
+        2.0, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(
