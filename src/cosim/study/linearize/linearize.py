@@ -76,7 +76,8 @@ def linearize(
             a time of a run, s. `start_values`: values by name that replace initial values,
             parameters or inputs, SI. `outputs`: names of y; all outputs of the model when None.
             `inputs`: time series of some inputs of a model, which have their values at that time.
-            `start_time`: start of the run and time of the initial state, s, 0 by default. `solver`, `relative_tolerance`: settings of the run up to a time; see `simulate`.
+            `start_time`: that of the run and of the initial state, s. `solver`,
+            `relative_tolerance`: settings of the run up to a time; see `simulate`.
 
     Raises:
         UnknownName: A name does not exist.
