@@ -361,7 +361,7 @@ def _turns(dae: Dae, poses: Poses, values: Values) -> Iterator[Sign]:
 def _merged(signs: Sequence[Sign], order: Sequence[str], size: float) -> Iterator[Sign]:
     """Yield the signs of the model's variables; those of one point and direction as one.
 
-    Points are told apart by their distances over the size of the mechanism, m.
+    Points are distinct if a millionth of the size of the mechanism, m, lies between them.
     """
     groups: dict[tuple[object, ...], list[Sign]] = {}
     for sign in signs:
