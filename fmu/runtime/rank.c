@@ -9,12 +9,13 @@
 #include "cubic.h"
 #include "equations.h"
 #include "logging.h"
-#include "margins.h"
 #include "projection.h"
 
 #if HAS_RANK
 
 static const double FURTHEST = 2; /* lengths of a cubic, beyond its end */
+
+enum { POINTS = 32, ZOOMS = 4 };
 
 double rank_at(Instance *self, double *rate) {
     double distance = 0;
@@ -63,35 +64,43 @@ void note_rank(Instance *self) {
     watch->when = values[TIME];
 }
 
-/* The cubic through the states and derivatives of two evaluations. */
-typedef struct {
-    Instance *fmu;
-    const Look *from, *to;
-} Way;
-
-static void look_on_way(void *way, double t, Place *found) {
-    const Way *self = way;
-    const Look *a = self->from, *b = self->to;
-    const double h = b->time - a->time, *values = self->fmu->state.values;
+/* The distance on the cubic through the states and derivatives of two evaluations. */
+static double distance_on(Instance *self, const Look *from, const Look *to, double share) {
+    const double h = to->time - from->time, t = from->time + share * h;
+    const double *values = self->state.values;
     double x[NX], rate;
     for (int i = 0; i < NX; i++)
-        x[i] = on_cubic(a->x[i], b->x[i], a->dx[i], b->dx[i], h, (t - a->time) / h, &rate);
-    pass_point(self->fmu, &t, x, values + FIRST_ALGEBRAIC, values + FIRST_INPUT);
-    note_no_event(t, found);
-    found->inside[0] = rank_at(self->fmu, found->rates);
+        x[i] = on_cubic(from->x[i], to->x[i], from->dx[i], to->dx[i], h, share, &rate);
+    pass_point(self, &t, x, values + FIRST_ALGEBRAIC, values + FIRST_INPUT);
+    return rank_at(self, NULL);
 }
 
-/* Where it comes nearest to a singular configuration up to a time, or the nearest place before. */
-static Place nearest_on(Way *way, double begin, double end, Place nearest) {
-    Place before, place;
-    look_on_way(way, begin, &before);
-    for (int k = 1; k <= PLACES; k++, before = place) {
-        look_on_way(way, begin + (end - begin) * k / PLACES, &place);
-        const bool turns = before.rates[0] < 0 && place.rates[0] > 0;
-        const Place least = turns ? bottom(look_on_way, way, 0, before, place) : place;
-        if (least.inside[0] < nearest.inside[0]) nearest = least;
+typedef struct {
+    double distance, when;
+} Nearest;
+
+/* The point of that cubic nearest to a singular configuration, between shares of its length. */
+static Nearest nearest_on(Instance *self, const Look *from, const Look *to, double begin,
+                          double end) {
+    Nearest nearest = {DBL_MAX, from->time};
+    double low = begin, high = end, best = begin;
+    for (int zoom = 0; zoom < ZOOMS; zoom++) {
+        const double width = (high - low) / POINTS, first = low;
+        for (int i = 0; i <= POINTS; i++) {
+            const double share = first + i * width;
+            const double distance = distance_on(self, from, to, share);
+            if (!(distance < nearest.distance)) continue;
+            nearest = (Nearest){distance, from->time + share * (to->time - from->time)};
+            best = share;
+        }
+        low = fmax(begin, best - width);
+        high = fmin(end, best + width);
     }
     return nearest;
+}
+
+static Nearest nearer(Nearest a, Nearest b) {
+    return b.distance < a.distance ? b : a;
 }
 
 Status watch_rank(Instance *self, Status status) {
@@ -102,25 +111,25 @@ Status watch_rank(Instance *self, Status status) {
         return OK;
     }
     self->state.watch = (Watch){2, now, last, DBL_MAX, 0};
-    Place nearest = {.t = now.time, .inside = {now.distance}};
-    if (watch.when > now.time) { /* it was evaluated ahead */
+    Nearest nearest = {now.distance, now.time};
+    if (watch.when <= now.time) {
+        nearest = nearer(nearest, (Nearest){watch.least, watch.when});
+    } else { /* it was evaluated ahead */
         self->state.watch.least = watch.least;
         self->state.watch.when = watch.when;
-    } else if (watch.least < now.distance) {
-        nearest = (Place){.t = watch.when, .inside = {watch.least}};
     }
     if (last.rate < 0 && now.rate > 0) {
-        const double length = now.time - last.time, before = last.time - watch.before.time;
-        nearest = nearest_on(&(Way){self, &last, &now}, last.time, now.time, nearest);
+        nearest = nearer(nearest, nearest_on(self, &last, &now, 0, 1));
         /* and along what the motion was before, lest it has left its branch */
-        if (watch.looks > 1 && length <= FURTHEST * before)
-            nearest = nearest_on(&(Way){self, &watch.before, &last}, last.time, now.time, nearest);
+        const double further = (now.time - last.time) / (last.time - watch.before.time);
+        if (watch.looks > 1 && further <= FURTHEST)
+            nearest = nearer(nearest, nearest_on(self, &watch.before, &last, 1, 1 + further));
     }
-    if (nearest.inside[0] >= LEAST_RANK) return OK;
+    if (nearest.distance >= LEAST_RANK) return OK;
     return refuse(self, status,
                   "the constraints lose rank at time %.6g (constraint_condition %.0e), where "
                   "branches of motion meet; from there on it may be another one%s",
-                  nearest.t, 1 / fmax(nearest.inside[0], 1e-16),
+                  nearest.when, 1 / fmax(nearest.distance, 1e-16),
                   self->state.interface == INTERFACE_ME && SOLVER_DOP853
                       ? ": use co-simulation, whose solver passes such places on its branch"
                       : "");

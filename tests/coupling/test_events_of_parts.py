@@ -5,7 +5,6 @@ from random import Random
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import cosim
 
@@ -449,27 +448,6 @@ def test_the_interface_error_of_given_steps_tells_of_jumps_of_held_inputs(tmp_pa
     jump = np.abs(np.diff(run["c.u"])).max()
     size = 2 * np.abs(run["c.u"]).max() + 1
     assert run.stats["interface_error"] > jump / size  # 1e-13 before
-
-
-def test_a_sampled_file_of_fmi_2_steps_to_its_samples(tmp_path):
-    """x'' = h - 4 x - 0.3 x'; h = -1.5 x each 0.1 s, in a file that cannot say when."""
-    control = part("control")
-    seen = control.input("seen", "m", 0.0, "place")
-    h = control.discrete("h", "N", 0.0, "force")
-    control.every(0.1, {h: -1.5 * seen}, name="sample")
-    path = cosim.export_fmu(control.freeze(), tmp_path / "control.fmu", fmi=2)
-    parts = {"plant": mass(4.0, 0.3, speed=0.0), "control": str(path)}
-    system = cosim.couple(parts, {"plant.u": "control.h", "control.seen": "plant.x"})
-    flow, y, right = np.array([[0, 1, 0], [-4, -0.3, 1], [0, 0, 0]]), np.array([1.0, 0, 0]), []
-    for row in range(21):
-        if row % 2 == 0:
-            y[2] = -1.5 * y[0]
-        right.append(y[0])
-        y = expm(flow * 0.05) @ y
-    for accuracy in (1e-3, 1e-4, 1e-6):
-        run = system.simulate(stop_time=1.0, output_interval=0.05, accuracy=accuracy)
-        error = np.abs(run["plant.x"] - right).max()
-        assert error <= run.stats["error_estimate"] <= accuracy
 
 
 def test_a_sample_that_rounding_puts_beside_a_macro_step_ends_it():

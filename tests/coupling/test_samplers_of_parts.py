@@ -125,3 +125,29 @@ def test_samples_within_the_implicit_steps_of_a_file_of_fmi_2_are_noted(tmp_path
         run = system.simulate(macro_step=0.05, stop_time=1.0)
         assert words in run.stats.get("note", "")
         assert ("note" in run.stats) == (fmi == 2)
+
+
+def test_a_sampled_file_of_fmi_2_steps_to_its_samples(tmp_path):
+    """x'' = h - 4 x - 0.3 x'; h = -1.5 x each 0.1 s, in a file that cannot say when."""
+    control = cosim.Model("control", **TIMES)
+    seen = control.input("seen", "m", 0.0, "place")
+    h = control.discrete("h", "N", 0.0, "force")
+    control.every(0.1, {h: -1.5 * seen}, name="sample")
+    path = cosim.export_fmu(control.freeze(), tmp_path / "control.fmu", fmi=2)
+    plant = cosim.Model("plant", **TIMES)
+    u = plant.input("u", "N", 0.0, "force")
+    x, v = plant.state("x", "m", 1.0, "place"), plant.state("v", "m/s", 0.0, "speed")
+    plant.derivative(x, v)
+    plant.derivative(v, u - 4 * x - 0.3 * v)
+    parts = {"plant": plant.freeze(), "control": str(path)}
+    system = cosim.couple(parts, {"plant.u": "control.h", "control.seen": "plant.x"})
+    flow, y, right = np.array([[0, 1, 0], [-4, -0.3, 1], [0, 0, 0]]), np.array([1.0, 0, 0]), []
+    for row in range(21):
+        if row % 2 == 0:
+            y[2] = -1.5 * y[0]
+        right.append(y[0])
+        y = expm(flow * 0.05) @ y
+    for accuracy in (1e-3, 1e-4, 1e-6):
+        run = system.simulate(stop_time=1.0, output_interval=0.05, accuracy=accuracy)
+        error = np.abs(run["plant.x"] - right).max()
+        assert error <= run.stats["error_estimate"] <= accuracy

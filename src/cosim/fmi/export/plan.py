@@ -162,7 +162,7 @@ PARTS = (
     Part(
         "constraints that may become singular",
         lambda plan: plan.detects_singularity,
-        ("rank.c", "projection.h", "margins.h", "bounds.h", "cubic.h", "ode.h"),
+        ("rank.c", "projection.h", "cubic.h", "ode.h"),
     ),
 )
 
