@@ -62,6 +62,11 @@ def test_several_values_and_formulations_are_ghosts(tmp_path, monkeypatch):
         (["bicykle", "-o", "x.png"], 3, "did you mean bicycle?"),
         (["bicycle", "-o", "x.png", "--size", "big"], 2, "write WIDTHxHEIGHT in inches"),
         (["bicycle", "-o", "x.png", "--at", "soon"], 2, "--at: 'soon' is not a number"),
+        (
+            ["bicycle_steer_kick.toml", "--live", "--start-time", "1", "-o", "x.html"],
+            2,
+            "a page that computes begins at 0: set --start-time to 0",
+        ),
         (["nothing.csv", "-o", "x.png"], 2, "nothing.csv is no result of a run"),
         (["bicycle", "-o", "nowhere/x.png"], 1, "create nowhere first"),
     ],

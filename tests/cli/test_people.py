@@ -269,6 +269,14 @@ def test_verdicts_are_colored_on_a_terminal_unless_no_color_is_set(monkeypatch, 
     assert "\x1b" not in capsys.readouterr().out
 
 
+def test_times_far_from_0_have_columns_of_their_own(capsys):
+    line = ["simulate", "crank_shaft", "--start-time", "10000000000", "--outputs", "phi", "-q"]
+    assert main([*line, "--at", "10000000001,10000000002"]) == 0
+    head, row = capsys.readouterr().out.splitlines()
+    assert head.split() == ["name", "unit", "10000000001", "s", "10000000002", "s"]
+    assert [float(word) for word in row.split()[2:]] == pytest.approx([55, 120])  # 50 t + 5 t^2
+
+
 def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
     assert main(["sim", "crank_shaft", "--at", "0", "-q"]) == 0
     assert "omega" in capsys.readouterr().out

@@ -249,6 +249,7 @@ def test_command_line_runs_the_model_the_co_simulation_and_the_ssp(ssp, tmp_path
     ("words", "message"),
     [
         (["simulate", "bicycle", "--method", "jacobi"], "are for coupled systems"),
+        (["simulate", "bicycle", "--macro-step", "0"], "are for coupled systems"),
         (["simulate", "SSP", "--solver", "dop853"], "--solver is for models"),
         (["simulate", "SSP", "--method", "jacobi"], "give macro_step"),
         (["export", "crank_shaft", "-o", "x.ssp"], ".ssp is for coupled systems"),

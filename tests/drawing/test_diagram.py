@@ -2,6 +2,7 @@
 
 from itertools import combinations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -52,6 +53,24 @@ def test_diagram_has_no_text_on_another(name, monkeypatch):
 def test_variables_removed_by_reduction_have_no_arrow():
     pose = start_pose(cosim.reduce(cosim.load("crank_shaft"), ["T"]))
     assert [sign.names for sign in pose.signs] == [("T",)]
+
+
+@pytest.mark.parametrize("length", [1e-7, 1.0, 1e7])
+def test_frames_and_angles_of_bodies_of_any_size_are_told_apart(length):
+    model = cosim.Model("arms", stop_time=1.0)
+    size = model.parameter("length", "m", length, "of each arm")
+    at = ca.SX.zeros(3, 1)
+    for name in ("a", "b"):
+        angle = model.state(name, "rad", 0.3, "angle")
+        model.derivative(angle, 1)
+        c, s = ca.cos(angle), ca.sin(angle)
+        rotation = ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+        body = model.body(f"arm {name}", at, rotation)
+        model.shape("bar", "box", ca.vertcat(size, size / 10, size / 10), body=body)
+        at = at + size * ca.vertcat(c, s, 0)
+    pose = start_pose(model.freeze())
+    assert [name for name, _, _ in drawn.distinct_frames(pose)] == ["arm a", "arm b"]
+    assert [sign.names for sign in pose.signs] == [("a",), ("b",)]
 
 
 def test_frames_that_coincide_are_one():

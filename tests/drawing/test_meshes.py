@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cosim.drawing.camera import HALF_ANGLE, Camera
 from cosim.drawing.meshes import onto
 
 
@@ -14,3 +15,11 @@ def test_third_axis_is_turned_onto_a_direction(direction):
     if any(direction):
         wanted = np.array(direction) / np.linalg.norm(direction)
         np.testing.assert_allclose(matrix[:, 2], wanted, atol=1e-14)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1.0, 1e9])
+def test_picture_of_a_scene_does_not_depend_on_its_size(length):
+    """A point at (1, 0.5) in a plane 2 lengths away, in half a height of 2 tan(half an angle)."""
+    camera = Camera(np.array([0, 0, 2 * length]), np.eye(3), np.array([0, 1, 0]))
+    seen = camera.seen(length * np.array([[1, 0.5, 0]]))
+    np.testing.assert_allclose(seen[0, :2], np.array([0.5, 0.25]) / np.tan(HALF_ANGLE), rtol=1e-14)

@@ -17,7 +17,7 @@ DESCRIPTION = """<fmiModelDescription fmiVersion="3.0" modelName="part" instanti
     <Float64 name="tiny" valueReference="2" causality="input" start="5e-17"/>
     <Int32 name="count" valueReference="3" causality="input" start="2"/>
     <Boolean name="on" valueReference="4" causality="input"><Start value="true"/></Boolean>
-    <String name="label" valueReference="5" causality="input"><Start value="a"/></String>
+    <String name="label" valueReference="5" causality="input"><Start value="007"/></String>
     <Float64 name="y" valueReference="6" causality="output"><Dimension start="3"/></Float64>
     <Int32 name="n" valueReference="7" causality="output"/>
     <Binary name="blob" valueReference="8" causality="input"/>
@@ -53,6 +53,7 @@ def test_info_shows_variables_of_every_type(written, capsys):
     shown = {line.split()[0]: line.split() for line in capsys.readouterr().out.splitlines() if line}
     assert shown["tiny"][3] == "0"
     assert shown["count"][3] == "2"
+    assert shown["label"][3] == "007"
     assert main(["info", str(path), "--json"]) == 0
 
 

@@ -43,6 +43,8 @@ def written(law):
         (1 / (x + y), "/1x+y"),
         (ca.atan2(x, -y), "atan2(x,-y)"),
         (ca.sqrt(2 * x), "2*x"),
+        ((x / y) ** 2, "^(/xy)2"),
+        (ca.logic_and(ca.logic_or(x < 1, y), x), "((x&lt;1)\u2228y)∧x"),
     ],
 )
 def test_formula_has_the_parentheses_that_it_needs(law, text):

@@ -117,6 +117,8 @@ def test_camera_follows_along_the_ground_only():
         (60.0, 1.0, 1.0),
         (61.0, 400.0, 2.0),
         (4e10, 0.0, 1e9),
+        (4e-14, 0.0, 2e-14),
+        (4e20, 0.0, 1e19),
     ],
 )
 def test_usual_speed_lets_eyes_follow(span, turn_rate, expected):

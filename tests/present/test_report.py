@@ -4,10 +4,13 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import casadi as ca
+import numpy as np
 import pytest
 from helpers.scenes import spinning
 
 import cosim
+from casadi_models.dae import Model
 from cosim.cli.main import main
 from cosim.present.report import ReportContents, printed_rows, report
 
@@ -120,6 +123,23 @@ def test_report_of_a_large_model_has_linear_equations():
     assert "in stages (<code>stages</code>" in page
     for formulation in ("independent", "book", "multipliers"):
         assert f"<b>{formulation}</b>: " in page
+
+
+def test_report_shows_the_time_series_of_an_input_and_its_value_at_the_start():
+    model = Model("pushed", stop_time=1.0)
+    x, u = model.state("x", "1", 0.0, "place"), model.input("u", "1", 0.0, "push")
+    factor = x
+    for _ in range(200):
+        factor = ca.sin(factor) + 0.1
+    model.derivative(x, u + x**2 * ca.exp(factor))  # too large to be printed, and never 0
+    series = cosim.InputSeries(("u",), np.array([0.0, 10.0]), np.array([[0.0], [10.0]]))
+    request = cosim.requested(model.freeze(), inputs=series, start_time=3.0, stop_time=3.01)
+    run = cosim.simulate(request.dae, inputs=series, start_time=3.0, stop_time=3.01, compiled=False)
+    contents = ReportContents(cosim.Scene("x", request), request.dae, run, None, [], "")
+    page = report(contents)
+    linear = page[page.index("<h3>Linear equations") : page.index("<h2 id=", page.index("<h3>Lin"))]
+    assert re.findall("<mn>(.*?)</mn>", linear)[:1] == ["3"]  # dx/dt = 3 + ...
+    assert "<td>u</td><td></td><td>1</td><td>push (a time series)</td>" in page
 
 
 def test_command_of_a_report_holds_no_absolute_path(tmp_path, monkeypatch):

@@ -116,6 +116,12 @@ def test_values_of_a_scene_are_the_starts_of_its_fmu(write, tmp_path):
     assert float(description.defaultExperiment.stepSize) == 0.02
 
 
+@pytest.mark.parametrize(("start", "stop"), [(-3.0, -1.0), (-2.0, 0.0), (0.0, 2.0), (5.0, 7.0)])
+def test_model_is_shown_with_a_run_as_long_as_that_of_the_scene(start, stop):
+    request = cosim.requested("crank_shaft", start_time=start, stop_time=stop)
+    assert request.configured().experiment.stop_time == 2.0
+
+
 def test_model_itself_is_left_as_it_was(write):
     scene = read_scene(write(GOOD))
     scene.request.configured()

@@ -60,7 +60,7 @@ def scene_or_none(args: argparse.Namespace) -> Scene | None:
     """Return the scene of a command line; None for an FMU file and for a co-simulation."""
     if args.model.endswith(".fmu"):
         return None
-    has_method = any(options_in(args, *_OF_SYSTEMS).values())
+    has_method = any(value is not None for value in options_in(args, *_OF_SYSTEMS).values())
     if is_system(args.model):  # co-simulation, or all parts as one model
         system = read_system(args.model)
         _report_undriven_inputs(args, system)

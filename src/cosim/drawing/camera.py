@@ -50,7 +50,7 @@ class Camera:
         """Return places in the picture and distances, (..., 3); the picture is -1 ... 1 high."""
         local = (points - self.eye) @ self.axes.T
         distance = -local[..., 2]
-        near = np.maximum(distance, 1e-6)
+        near = np.maximum(distance, 1e-6 * np.abs(distance).max(initial=1e-300))
         flat = local[..., :2] / (tan(HALF_ANGLE) * near[..., None])
         return np.concatenate([flat, distance[..., None]], axis=-1)
 

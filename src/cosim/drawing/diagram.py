@@ -61,7 +61,8 @@ def distinct_frames(pose: StartPose) -> Iterator[Frame]:
     while left:
         _, origin, rotation = left[0]
         here = [
-            np.allclose(at, origin, atol=1e-6) and np.allclose(turned, rotation, atol=1e-3)
+            np.allclose(at, origin, rtol=0, atol=1e-6 * pose.size)
+            and np.allclose(turned, rotation, atol=1e-3)
             for _, at, turned in left
         ]
         names = [name for (name, _, _), same in zip(left, here, strict=True) if same]

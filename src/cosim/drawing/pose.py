@@ -271,11 +271,13 @@ class StartPose:
         frames: (name, origin (3,), rotation matrix (3, 3)) of each body that turns and has a shape;
             not of parts of bodies.
         signs: Positive directions of loads and angles.
+        size: About how large the mechanism is, m.
     """
 
     poses: Poses
     frames: tuple[tuple[str, Vector, Vector], ...]
     signs: tuple[Sign, ...]
+    size: float
 
 
 def start_pose(dae: Dae) -> StartPose | None:
@@ -293,7 +295,8 @@ def start_pose(dae: Dae) -> StartPose | None:
     with np.errstate(invalid="ignore"):  # not a number: returned as None
         poses = poses_at(bodies, values, values.time)
     signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
-    merged = tuple(_merged(signs, [v.name for v in dae.variables]))
+    size = _extent(poses)
+    merged = tuple(_merged(signs, [v.name for v in dae.variables], size))
     numbers = [poses.places, poses.rotations, *(sign.at for sign in merged)]
     numbers += [part for solid in poses.solids for part in (np.array(solid.size), solid.at)]
     if not all(np.isfinite(part).all() for part in numbers):
@@ -305,7 +308,13 @@ def start_pose(dae: Dae) -> StartPose | None:
         and any(solid.body == i for solid in poses.solids)
         and "/" not in body.name
     )
-    return StartPose(poses, frames, merged)
+    return StartPose(poses, frames, merged, size)
+
+
+def _extent(poses: Poses) -> float:
+    """Return about how large a mechanism is, m; 1 if its shapes are points."""
+    lengths = [np.abs(solid.size).max(initial=0.0) for solid in poses.solids]
+    return float(max(np.ptp(poses.places[0], axis=0).max(initial=0.0), *lengths)) or 1.0
 
 
 def _start_values(dae: Dae) -> dict[str, float]:
@@ -349,12 +358,16 @@ def _turns(dae: Dae, poses: Poses, values: Values) -> Iterator[Sign]:
             yield Sign((state.name,), True, poses.places[0, i], axis)
 
 
-def _merged(signs: Sequence[Sign], order: Sequence[str]) -> Iterator[Sign]:
-    """Yield the signs of the model's variables; those of one point and direction as one."""
+def _merged(signs: Sequence[Sign], order: Sequence[str], size: float) -> Iterator[Sign]:
+    """Yield the signs of the model's variables; those of one point and direction as one.
+
+    Points are distinct if a millionth of the size of the mechanism, m, lies between them.
+    """
     groups: dict[tuple[object, ...], list[Sign]] = {}
     for sign in signs:
         length = max(float(np.linalg.norm(sign.direction)), 1e-300)
-        key = (sign.turns, *np.round(sign.at, 6) + 0.0, *np.round(sign.direction / length, 3) + 0.0)
+        at, direction = sign.at / size, sign.direction / length
+        key = (sign.turns, *np.round(at, 6) + 0.0, *np.round(direction, 3) + 0.0)
         groups.setdefault(key, []).append(sign)
     for members in groups.values():
         names = {name for sign in members for name in sign.names}

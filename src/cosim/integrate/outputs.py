@@ -210,7 +210,7 @@ def _jacobians(dae: Dae, names: tuple[str, ...]) -> ca.Function:
     """Return the function of rates, outputs, and the partial derivatives of both and of alg."""
     dae = dae.watching(names)
     _, places = recorded_columns(dae, names)
-    chosen = ca.densify(ca.vertcat(dae.x, dae.z, dae.outputs)[list(places)])
+    chosen = ca.densify(ca.vertcat(dae.x, dae.z, dae.outputs)[list(places), :])
     xu = ca.vertcat(dae.x, dae.u)
     both = ca.vertcat(dae.ode, chosen)
     blocks = [ca.jacobian(rows, by) for rows in (both, dae.alg) for by in (xu, dae.z)]

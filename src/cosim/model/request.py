@@ -175,12 +175,15 @@ class RunRequest:
         )
 
     def configured(self) -> Dae:
-        """Return the model with the request's values, span and interval as defaults, for export."""
+        """Return the model with the request's values, span and interval as defaults, for export.
+
+        The run that a model is shown with begins at 0, whatever the start time of the request.
+        """
         dae, times = self.dae, self.times
-        shown = dae.experiment.stop_time  # of a run that begins at 0
+        span = 0.0 if times.stop is None else times.stop - times.start
         experiment = replace(
             dae.experiment,
-            stop_time=times.stop if times.stop is not None and times.stop > 0 else shown,
+            stop_time=span or dae.experiment.stop_time,
             output_interval=times.interval or dae.experiment.output_interval,
         )
         values = plain_values(dae, self.values)

@@ -263,12 +263,13 @@ class _Writer:
         name, parts = _name(node), [node.dep(k) for k in range(node.n_dep())]
         if name in _INFIX:
             sign, level = _INFIX[name]
-            first, last = self.text(parts[0], level), self.text(parts[1], level + (name == "sub"))
+            around = level or 1  # comparisons and "and" or "or" within each other are ambiguous
+            first, last = self.text(parts[0], around), self.text(parts[1], around + (name == "sub"))
             return f"{first}{sign}{last}", level
         if name == "div":
-            return f"<mfrac>{self.text(parts[0])}{self.text(parts[1])}</mfrac>", _ATOM
+            return f"<mfrac>{self.text(parts[0])}{self.text(parts[1])}</mfrac>", 8
         if name == "inv":
-            return f"<mfrac><mn>1</mn>{self.text(parts[0])}</mfrac>", _ATOM
+            return f"<mfrac><mn>1</mn>{self.text(parts[0])}</mfrac>", 8
         if name == "sqrt":
             return f"<msqrt>{self.text(parts[0])}</msqrt>", _ATOM
         if name in ("sq", "pow", "constpow"):

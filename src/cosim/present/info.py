@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.errors import FmuError, InitialConditionError
 from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
+from cosim.fmi.run.typed_values import NUMERIC
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.passed_over import watched_terms
 from cosim.integrate.validity import inspect_start
@@ -207,6 +208,8 @@ def _fmu_info(path: Path) -> Info:
 def _fmu_row(variable: Described, meaning: str) -> dict[str, Any]:
     texts, unit = variable.texts, variable.texts.get("unit", "1")
     start, *sizes = (_number_or_text(texts.get(key)) for key in ("start", "min", "max", "nominal"))
+    if not NUMERIC.match(variable.kind):
+        start = texts.get("start")
     sizes = [size if isinstance(size, float) else None for size in sizes]
     facts = (variable.name, unit, texts.get("displayUnit", unit), start, variable.initial or "")
     return dict(zip(_KEYS, (*facts, *sizes, meaning), strict=True))

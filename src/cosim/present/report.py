@@ -162,11 +162,14 @@ def _block(lines: Iterable[str]) -> str:
 
 def _linear_system(c: ReportContents) -> Linearization | None:
     """Return the linear system at an equilibrium near the start, else at the start."""
-    names = {variable.name for variable in c.dae.variables}
-    values = {name: value for name, value in c.scene.request.values.items() if name in names}
+    names, request = {variable.name for variable in c.dae.variables}, c.scene.request
+    values = {name: value for name, value in request.values.items() if name in names}
+    inputs, begin = request.inputs and request.inputs.only(names), request.times.start
     for point in ("equilibrium", "start"):
         with suppress(CosimError):
-            linear = linearize(c.dae, at=point, start_values=values)
+            linear = linearize(
+                c.dae, at=point, start_values=values, inputs=inputs, start_time=begin
+            )
             return None if linear.period else linear
     return None
 
@@ -204,7 +207,9 @@ def _numbers_section(c: ReportContents) -> Iterable[str]:
 def _parameter_row(
     variable: Variable, c: ReportContents, values: Mapping[str, float]
 ) -> dict[str, Any]:
-    value = values.get(variable.name, variable.start)
+    series = c.scene.request.inputs
+    follows = series is not None and variable.name in series.names
+    value = None if follows else values.get(variable.name, variable.start)
     calculated = variable.start_kind is Start.CALCULATED
     if calculated and variable.name in c.run.names and len(c.run):
         value = float(c.run[variable.name][0])
@@ -215,7 +220,7 @@ def _parameter_row(
         "name": variable.name,
         "value": "" if value is None else f"{convert(value, variable.unit, shown):.8g}",
         "unit": shown,
-        "meaning": variable.meaning + " (calculated)" * calculated,
+        "meaning": variable.meaning + " (calculated)" * calculated + " (a time series)" * follows,
     }
 
 

@@ -124,6 +124,20 @@ def test_limit_of_a_decay_is_that_of_the_real_axis(solver):
 
 
 @pytest.mark.slow
+def test_limit_follows_the_time_series_of_an_input():
+    """x' = -u x with u = 50, and 20 as its start value."""
+    model = Model("driven", stop_time=1.0)
+    x, u = model.state("x", "1", 1.0, "what decays"), model.input("u", "1/s", 20.0, "rate")
+    model.derivative(x, -u * x)
+    series = cosim.InputSeries(("u",), np.array([0.0, 1.0]), np.array([[50.0], [50.0]]))
+    request = cosim.requested(model.freeze(), inputs=series)
+    found = stability_limit(request, reference(request), "rk4")
+    assert found.mode == -50
+    expected = largest_stable_step(stability_function(RK4), -50.0)
+    assert found.measured == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", METHODS)
 @pytest.mark.parametrize(
     "model",

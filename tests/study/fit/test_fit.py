@@ -314,6 +314,10 @@ def test_fmu_is_fitted_by_finite_differences(tmp_path):
     assert found.subject.derivatives.startswith("finite differences")
     with pytest.raises(UsageError, match="there is no model of it"):
         found.scene()
+    once = record({"x": [3 * np.exp(-2.0)], "y": [3 * np.exp(-2.0)]}, [1.0])
+    assert fit(path, once, {"k": 1.0}, start_values={"x": 3.0}).values["k"] == pytest.approx(
+        2.0, rel=1e-4
+    )
 
 
 @pytest.mark.parametrize(
@@ -417,6 +421,15 @@ def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
     found = fit(DECAY, noisy(0), ["k"])
     with pytest.raises(UsageError, match=r"decay: a scene names its model; give model="):
         found.write_scene(tmp_path / "third.toml")
+
+
+def test_command_rejects_a_scene_that_does_not_begin_at_0(tmp_path, capsys):
+    scene, data = tmp_path / "late.toml", tmp_path / "d.csv"
+    scene.write_text('model = "crank_shaft"\n[run]\nstart_time = 2.0\nstop_time = 3.0\n')
+    data.write_text("time [s],phi [rad]\n2.0,0.0\n2.5,1.0\n3.0,2.0\n")
+    assert main(["fit", str(scene), str(data), "--free", "alpha"]) == 2
+    text = capsys.readouterr().err
+    assert "begins at 2 s, but the runs of a fit at 0 s; set its start_time to 0" in text
 
 
 @pytest.mark.parametrize("speed", [np.float64(50.0), np.int64(50)])

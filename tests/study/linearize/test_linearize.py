@@ -115,6 +115,38 @@ def test_command_linearizes_a_scene_with_its_series(capsys):
     assert found["x"][found["states"].index("delta")] != 0  # without the kick it runs straight
 
 
+def test_scene_is_linearized_with_its_start_time_and_solver(tmp_path, capsys):
+    """One long step of rk4 differs from what other solvers give."""
+    (tmp_path / "late.py").write_text(
+        "from casadi_models.dae import Model\n"
+        "def build():\n"
+        "    m = Model('late', stop_time=1.0)\n"
+        "    x = m.state('x', '1', 1.0, 'x')\n"
+        "    m.derivative(x, 2 - 3 * x**2)\n"
+        "    m.output('y', '1', m.t * x, 'product')\n"
+        "    return m.freeze()\n"
+    )
+    scene = tmp_path / "late.toml"
+    scene.write_text(
+        'model = "late.py:build"\n[run]\nstart_time = 2.0\nstop_time = 3.0\n'
+        'solver = "rk4"\nstep_size = 0.5\n'
+    )
+    assert main(["linearize", str(scene), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert (found["time"], found["C"]) == (2.0, [[2.0]])
+    assert main(["linearize", str(scene), "--at", "2.5", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+
+    def rate(x):
+        return 2 - 3 * x**2
+
+    k1 = rate(1.0)
+    k2 = rate(1 + 0.25 * k1)
+    k3 = rate(1 + 0.25 * k2)
+    k4 = rate(1 + 0.5 * k3)
+    assert found["x"] == pytest.approx([1 + 0.5 * (k1 + 2 * k2 + 2 * k3 + k4) / 6], rel=1e-14)
+
+
 def test_time_after_the_end_of_a_run_is_rejected():
     model = Model("falling")
     x = model.state("x", "m", 0.0, "place")
@@ -125,6 +157,16 @@ def test_time_after_the_end_of_a_run_is_rejected():
     assert linearize(dae, at=0.25).C[0, 0] == pytest.approx(0.5, rel=1e-9)
     with pytest.raises(ParameterError, match=r"at = 1 s is after .* at 0.5 s, where x is large"):
         linearize(dae, at=1.0)
+
+
+def test_model_of_one_state_without_outputs_has_empty_rows():
+    model = Model("alone", stop_time=1.0)
+    x = model.state("x", "1", 2.0, "x")
+    model.derivative(x, 1 - 3 * x)
+    found = linearize(model.freeze())
+    assert (found.A.tolist(), found.rates.tolist()) == ([[-3.0]], [-5.0])
+    assert (found.C.shape, found.D.shape, found.y.shape) == ((0, 1), (0, 0), (0,))
+    assert len(found.rows()) == 1
 
 
 def test_inputs_have_the_values_of_their_series_at_the_time():

@@ -213,6 +213,14 @@ def test_derivative_by_the_time_of_the_only_switch_is_the_jump():
     assert found["x", "p"][-1] == pytest.approx(-1.0, abs=1e-12)
 
 
+def test_derivative_by_a_switch_of_nanoseconds_is_checked():
+    model = Model("fast", stop_time=2e-9, output_interval=1e-10)
+    x, p = model.state("x", "1", 0.0, "x"), model.parameter("p", "s", 1.05e-9, "time of the switch")
+    model.derivative(x, ca.if_else(model.t < p, 0, 1e9))
+    found = cosim.sensitivity(model.freeze(), with_respect_to=["p"])
+    assert found["x", "p"][-1] == pytest.approx(-1e9, rel=1e-9)
+
+
 def test_derivatives_of_a_sampled_loop_are_checked_at_its_samples_too():
     """With E = exp(-a T), x(n T) = (E - k (1 - E)/a)^n x(0)."""
     model = Model("sampled", stop_time=0.6)

@@ -73,6 +73,12 @@ def test_a_design_fills_its_ranges_and_repeats_with_its_seed(kind):
         assert sorted(np.floor((a - 2) * 64).astype(int)) == list(range(64))
 
 
+def test_a_single_number_of_any_type_stays_the_same_in_all_runs():
+    for number in (7, 7.0, np.int64(7), np.float32(7)):
+        found = design("random", 3, {"a": (2.0, 3.0), "b": number})
+        assert found.columns["b"].tolist() == [7.0, 7.0, 7.0]
+
+
 def test_a_design_follows_a_distribution():
     stats = pytest.importorskip("scipy.stats")
     found = design("sobol", 1024, {"m": stats.norm(80, 5)})

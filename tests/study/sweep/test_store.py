@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,19 @@ def whole(tmp_path_factory):
 @pytest.fixture
 def folder(whole, tmp_path):
     return shutil.copytree(whole, tmp_path / "store")
+
+
+@pytest.mark.parametrize("name", ["a/b", "../b", "", ".", "zarr.json", "blocks/b"])
+def test_names_that_no_folder_has_are_rejected(name, tmp_path):
+    part = replace(block(0, 16), numbers={name: np.zeros(16)})
+    with Store.opened(layout(), tmp_path / "store", resume=False) as store:
+        with pytest.raises(UsageError, match=f"'{name}' cannot be the name of a folder"):
+            store.write(part)
+        assert store.finished() == []
+    samples = Samples({name: np.arange(40.0)})
+    with pytest.raises(UsageError, match="cannot be the name of a folder"):
+        Store.created(layout(samples), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
 
 
 def content(folder):

@@ -9,6 +9,7 @@ from cosim.cli.arguments import names_in, numbers_in, start_numbers
 from cosim.cli.runs import runs_of, scene_or_none, single, size_of
 from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
+from cosim.integrate.solvers import contains_time
 from cosim.model.catalogue import load
 from cosim.model.driving import with_tables
 from cosim.present.playback.animate import (
@@ -68,4 +69,11 @@ def _live_model(args: argparse.Namespace, tables: Sequence[str]) -> Dae:
         raise UsageError("--live needs a single model or scene")
     request = scene.request.reduced() if args.outputs else replace(scene.request, outputs=None)
     dae = request.configured()
-    return dae if request.inputs is None else with_tables(dae, request.inputs)
+    if request.inputs is not None:
+        dae = with_tables(dae, request.inputs)
+    if request.times.start and contains_time(dae):
+        raise UsageError(
+            f"{scene.name} begins at {request.times.start:g} s, and its equations contain time; a "
+            "page that computes begins at 0: set start_time to 0, or leave --live out"
+        )
+    return dae

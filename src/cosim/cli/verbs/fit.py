@@ -30,6 +30,11 @@ def run(args: argparse.Namespace) -> int:
     else:
         scene = named_scene(args.model)
         request, reference = scene.request, scene.model
+        if begin := request.times.start:
+            raise UsageError(
+                f"{scene.name} begins at {begin:g} s, but the runs of a fit at 0 s; set its "
+                "start_time to 0, and shift the records (--time-offset)"
+            )
         model = dae = request.dae
         start, like = dict(request.values), model_columns(dae)
         settings["inputs"] = request.inputs

@@ -18,6 +18,8 @@ from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
+from cosim.model.solver import Goal
+from cosim.scene.scene import Scene
 from cosim.study.linearize.linearization import Linearization, Mode
 from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 from cosim.text import csv_text, json_text
@@ -28,16 +30,15 @@ def run(args: argparse.Namespace) -> int:
     if args.figure and not args.along:
         raise UsageError("--figure draws the eigenvalues of --along; add --along NAME=A:B:N")
     model: Any = args.model
-    if foreign := args.model.endswith(".fmu"):
+    if args.model.endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
         start = start_values_of_fmu(args)
         outputs = names_in(args.outputs) if args.outputs else None
+        evaluate: Any = partial(run_apart, function=linearize)
     else:
-        request = scene_from(args).request
+        scene = scene_from(args)
+        request, evaluate = scene.request, partial(linearize, **_settings(args, scene))
         model, start, outputs = request.dae, dict(request.values), request.outputs
-    evaluate: Any = partial(run_apart, function=linearize)
-    if not foreign:
-        evaluate = partial(linearize, inputs=request.inputs)
     points: list[Any] = [EQUILIBRIUM if args.equilibrium else START]
     if args.at is not None:
         points = [*numbers_in("--at", args.at)]
@@ -58,6 +59,20 @@ def run(args: argparse.Namespace) -> int:
         if linear.undecided:
             note(args, f"rounding decides whether these grow: {_values(linear.undecided)}")
     return 0
+
+
+def _settings(args: argparse.Namespace, scene: Scene) -> dict[str, Any]:
+    """Return what a scene says of the run up to the state."""
+    request = scene.request
+    settings = {"inputs": request.inputs, "start_time": request.times.start}
+    if not isinstance(request.solver, Goal):
+        return settings | {"solver": request.solver}
+    if args.at is not None:
+        raise UsageError(
+            f"{scene.name}: a run up to a time has no accuracy and no budget here; give a solver "
+            "and a tolerance"
+        )
+    return settings
 
 
 def _along(

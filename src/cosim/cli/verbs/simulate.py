@@ -67,6 +67,6 @@ def _at_times(run: Trajectory, units: str) -> list[dict[str, Any]]:
         values, unit = run[column.name], column.unit
         if units == "book":
             values, unit = column.shown(values), column.shown_unit
-        at = {f"{t:.10g} s": float(value) for t, value in zip(run.time, values, strict=True)}
+        at = {f"{t:.15g} s": float(value) for t, value in zip(run.time, values, strict=True)}
         rows.append({"name": column.name, "unit": unit, **at})
     return rows

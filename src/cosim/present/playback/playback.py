@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import ceil, pi, radians
+from math import ceil, floor, log10, pi, radians
 
 import casadi as ca
 import numpy as np
@@ -94,12 +94,17 @@ def usual_speed(span: float, turn_rate: float) -> float:
         span: Length of the run, s.
         turn_rate: Angular speed of the body that turns fastest, rad/s.
     """
-    speeds = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
     if span > LONGEST:
-        return min(speed for speed in speeds if speed * LONGEST >= span)
+        return min(speed for speed in _speeds(span / LONGEST) if speed * LONGEST >= span)
     slow = max(MOST_TURNS / turn_rate, span / LONGEST_OF_TURNS) if turn_rate > 0 else 1.0
     limit = min(1.0, slow, span / SHORTEST) or 1.0
-    return max(speed for speed in speeds if speed <= limit * (1 + 1e-9))
+    return max(speed for speed in _speeds(limit) if speed <= limit * (1 + 1e-9))
+
+
+def _speeds(near: float) -> list[float]:
+    """Return the speeds of 1, 2, 5, 10 ... around a number."""
+    power = floor(log10(near))
+    return [digit * 10.0**n for n in range(power - 1, power + 2) for digit in (1, 2, 5)]
 
 
 def frame_times(time: Vector, turn_rate: float, frames_per_second: float) -> Vector:

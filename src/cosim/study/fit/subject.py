@@ -128,12 +128,12 @@ class FmuSubject:
 
     def run(self, values: Mapping[str, float], names: Sequence[str], times: Vector) -> Trajectory:
         """Return the run with some values at measured times, s."""
-        stop = float(times[-1])
+        stop, gaps = float(times[-1]), np.diff(times) if len(times) > 1 else times
         found = simulate_fmu(
             self.path,
             start_values=values,
             stop_time=stop,
-            output_interval=min(stop / 500, float(np.median(np.diff(times)))),
+            output_interval=min(stop / 500, float(np.median(gaps))),
             outputs=names,
             **self.settings,
         )

@@ -17,6 +17,7 @@ from cosim.integrate.run import run
 from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs
+from cosim.model.solver import Solver, Tolerance
 from cosim.model.values import Values, number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
 from cosim.study.linearize.equilibrium import equilibrium
@@ -36,7 +37,8 @@ class PointKeywords(TypedDict, total=False):
     start_values: Mapping[str, float] | None
     outputs: Sequence[str] | None
     inputs: InputSeries | None
-    solver: str | None
+    start_time: float
+    solver: str | Solver | Tolerance | None
     relative_tolerance: float | None
 
 
@@ -74,7 +76,8 @@ def linearize(
             a time of a run, s. `start_values`: values by name that replace initial values,
             parameters or inputs, SI. `outputs`: names of y; all outputs of the model when None.
             `inputs`: time series of some inputs of a model, which have their values at that time.
-            `solver`, `relative_tolerance`: settings of the run up to a time; see `simulate`.
+            `start_time`: that of the run and of the initial state, s. `solver`,
+            `relative_tolerance`: settings of the run up to a time; see `simulate`.
 
     Raises:
         UnknownName: A name does not exist.
@@ -122,7 +125,8 @@ def _linearized(
     start_values: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
     inputs: InputSeries | None = None,
-    solver: str | None = None,
+    start_time: float = 0.0,
+    solver: str | Solver | Tolerance | None = None,
     relative_tolerance: float | None = None,
 ) -> Linearization:
     """Return the linear system near one state; see `linearize`."""
@@ -133,13 +137,16 @@ def _linearized(
     if not isinstance(model, Dae):
         if inputs is not None:
             raise UsageError(f"{model}: the inputs of an FMU are constant here; leave inputs out")
+        if start_time:
+            raise UsageError(f"{model}: an FMU has its own start time; leave start_time out")
         if at != START:
             raise UsageError(
                 f"{model}: an FMU can be linearized at its initial state only; set start_values, "
                 "or linearize the model"
             )
         return linearized_fmu(model, start_values, outputs)
-    dae, time = model, at if isinstance(at, float) else 0.0
+    start_time = number("linearize", "start_time", start_time)
+    dae, time = model, at if isinstance(at, float) else start_time
     values = requested(dae, start_values=start_values, inputs=inputs).numbers
     values = replace(values, u=input_values(dae, np.array([time]), values, inputs)[:, 0])
     names = tuple(v.name for v in dae.output_variables)
@@ -151,8 +158,9 @@ def _linearized(
         request = requested(
             dae,
             start_values=start_values,
+            start_time=start_time,
             stop_time=at,
-            output_interval=abs(at) or 1.0,
+            output_interval=abs(at - start_time) or 1.0,
             solver=solver,
             relative_tolerance=relative_tolerance,
             outputs=states,

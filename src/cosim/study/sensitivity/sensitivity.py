@@ -338,7 +338,7 @@ class _Task:
             passed = np.searchsorted(events, times)
             found &= passed == np.searchsorted(self.events[0], times)
             moved = np.setdiff1d(events, common)  # samples stay where they are
-            found &= ~one_time(times[:, None], moved[None], times[0]).any(axis=1)
+            found &= ~one_time(times[:, None], moved, self.request.times.start).any(axis=1)
         return found
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:

@@ -137,6 +137,11 @@ class Folder:
             write_atomically(place, content)
 
 
+def can_name_array(name: str) -> bool:
+    """Return whether a folder of this name can hold an array."""
+    return "/" not in name and name not in ("", ".", "..", MANIFEST)
+
+
 def _removed(place: Path) -> None:
     """Remove a file, or a folder that stands in its place."""
     if place.is_dir():

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import prod
+from numbers import Real
 from pathlib import Path
 from typing import Any
 from warnings import catch_warnings, simplefilter, warn
@@ -174,7 +175,7 @@ def design(kind: str, runs: int, ranges: Mapping[str, Any], *, seed: int = 0) ->
     UnknownName.reject("sweep", "design", DESIGNS, kind)
     whole("design", "runs", runs)
     whole("design", "seed", seed, 0, MOST_SEED)
-    varied = [name for name, spread in ranges.items() if not isinstance(spread, int | float)]
+    varied = [name for name, spread in ranges.items() if not isinstance(spread, Real)]
     if not varied:
         raise ParameterError(f"sweep: {kind} needs a range; give e.g. phi_dot=0:1")
     if kind == "random":

@@ -13,8 +13,10 @@ from cosim.arrays import Vector
 from cosim.codegen.runge_kutta.tableau import stability_function, step_function
 from cosim.errors import CosimError
 from cosim.integrate.families.fixed_step import tableau_of
+from cosim.integrate.initial_values import input_values
 from cosim.integrate.run import run
 from cosim.integrate.solvers import SOLVERS, requested_solver
+from cosim.model.inputs import InputSeries
 from cosim.model.request import RunRequest
 from cosim.model.times import Times
 from cosim.model.values import assign
@@ -147,13 +149,13 @@ def stability_limit(request: RunRequest, truth: Reference, solver: str) -> Stabi
     None if no mode decays or the motion does not become steady.
     """
     dae = request.configured()
-    rhs = _right_hand_side(dae)
     tableau = tableau_of(SOLVERS[solver])
     polynomial = stability_function(tableau)
     modes = []
     for row in np.linspace(0.9 * len(truth.run), len(truth.run) - 1, 5).astype(int):
         t = truth.run.time[row]
         x = np.array([truth.run[variable.name][row] for variable in dae.states])
+        rhs = _right_hand_side(dae, t, request.inputs)
         mode, vectors = _limiting_mode(rhs, t, x, polynomial)
         modes.append(mode)
     if not mode or max(abs(other - mode) for other in modes) > _CHANGE * abs(mode):
@@ -176,10 +178,14 @@ def largest_stable_step(polynomial: Polynomial, mode: complex) -> float:
     return float(high)
 
 
-def _right_hand_side(dae: Dae) -> ca.Function:
-    """Return `rhs(t, x, u, p) -> dx/dt` with the numbers of parameters and inputs inserted."""
+def _right_hand_side(dae: Dae, t: float, inputs: InputSeries | None) -> ca.Function:
+    """Return `rhs(t, x, u, p) -> dx/dt` with the numbers of parameters and inputs inserted.
+
+    Inputs keep their values at time t, s.
+    """
     values = assign(dae)
-    expression = ca.substitute(dae.ode, ca.vertcat(dae.u, dae.p), ca.DM([*values.u, *values.p]))
+    u = input_values(dae, np.array([t]), values, inputs)[:, 0]
+    expression = ca.substitute(dae.ode, ca.vertcat(dae.u, dae.p), ca.DM([*u, *values.p]))
     none = ca.SX(0, 1)
     return ca.Function("rhs", [dae.t, dae.x, none, none], [expression], {"cse": True})
 
