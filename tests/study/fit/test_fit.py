@@ -76,7 +76,7 @@ def test_a_minimum_that_no_run_reaches_is_noted():
     far = record({"x": 1e200 * np.exp(-TIMES)})
     with pytest.raises(ParameterError, match="the squares of these measurements have no size"):
         fit(DECAY, far, {"x": 1.0, "k": 1.0})
-    measured = Trajectory("far", TIMES, (Column("phi", "rad"),), 1e100 * TIMES[:, None])
+    measured = Trajectory("far", TIMES, (Column("phi", "rad"),), 1e140 * TIMES[:, None])
     found = fit("crank_shaft", measured, ["alpha", "omega"])
     assert any("the fit did not converge: the minimum is about" in note for note in found.notes)
 
