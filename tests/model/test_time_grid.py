@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 
-import cosim
 from cosim.errors import ParameterError
 from cosim.integrate.keywords import requested
-from cosim.model.request import RunRequest
-from cosim.model.times import Times, checked_grid, time_grid
+from cosim.model.times import checked_grid, time_grid
 
 
 def test_whole_number_of_intervals_ends_at_the_stop_time():
@@ -115,10 +113,3 @@ def test_the_last_interval_is_shorter_or_hardly_longer(stop, interval, intervals
     assert len(grid) == intervals + 1
     assert grid[-1] == stop
     assert np.diff(grid)[-1] <= 1.01 * interval
-
-
-@pytest.mark.parametrize("stop", [-1.0, 0.0])
-def test_model_of_a_run_that_ends_before_0_is_shown_as_long(stop):
-    dae = cosim.load("crank_shaft")
-    experiment = RunRequest(dae, times=Times(-2.0, stop, 0.1)).configured().experiment
-    assert (experiment.stop_time, experiment.output_interval) == (stop + 2, 0.1)
