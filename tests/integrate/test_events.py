@@ -305,21 +305,6 @@ def test_branch_ends_where_its_law_is_not_defined(form, solver):
     assert run.final["x"] == pytest.approx(event_models.DRAINED, abs=bound)
 
 
-@pytest.mark.parametrize("solver", ["cvodes", "rk4"])
-def test_what_comes_to_rest_at_a_boundary_does_so_at_every_scale(solver):
-    """x = size (1 - t)^2 rests at 0 from 1 s on; a power of 2 changes no digit of it."""
-    for power in (-40, 0, 30):
-        size = 1e9 * 2.0 ** (power - 30)
-        model = Model("emptied", stop_time=2.0, output_interval=0.5)
-        x = model.state("x", "1", size, "a state", nominal=size)
-        n = model.discrete("n", "1", 0, "number of events")
-        model.derivative(x, -2 * ca.sqrt(size * ca.fmax(x, 0)))
-        model.when(x < 0, {n: n + 1})
-        run = simulate(model.freeze(), solver, 1e-9)
-        assert run.final["x"] / size == pytest.approx(0, abs=1e-15)
-        assert run.final["n"] == 0
-
-
 def test_law_that_is_left_without_a_value_is_an_error():
     model = Model("beyond", stop_time=2.0)
     x = model.state("x", "1", 1.0, "a state")

@@ -269,3 +269,19 @@ def test_a_name_of_the_users_own_is_no_rate():
     rests = run.time > 1
     right = 1 + np.clip(run.time - 1.5, 0, 1)[rests]
     np.testing.assert_allclose(run["v"][rests], right, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "rk4"])
+def test_what_comes_to_rest_at_a_boundary_does_so_at_every_scale(solver):
+    """x = size (1 - t)^2 rests at 0 from 1 s on; a power of 2 changes no digit of it."""
+    options = {"step_size": 1e-3} if solver == "rk4" else {"relative_tolerance": 1e-9}
+    for power in (-40, 0, 30):
+        size = 1e9 * 2.0 ** (power - 30)
+        model = cosim.Model("emptied", stop_time=2.0, output_interval=0.5)
+        x = model.state("x", "1", size, "a state", nominal=size)
+        n = model.discrete("n", "1", 0, "number of events")
+        model.derivative(x, -2 * ca.sqrt(size * ca.fmax(x, 0)))
+        model.when(x < 0, {n: n + 1})
+        run = cosim.simulate(model.freeze(), solver=solver, **options)
+        assert run.final["x"] / size == pytest.approx(0, abs=1e-15)
+        assert run.final["n"] == 0
