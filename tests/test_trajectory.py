@@ -135,6 +135,12 @@ def test_npz_brings_everything_back_bit_for_bit(tmp_path, run):
     assert again.values.tobytes() == run.values.tobytes()
 
 
+def test_npz_has_numbers_of_numpy_among_its_statistics(tmp_path, run):
+    own = {"steps": np.int64(3), "share": np.float32(0.5), "compiled": np.bool_(True)}
+    replace(run, stats=own).to_npz(tmp_path / "run.npz")
+    assert Trajectory.from_npz(tmp_path / "run.npz").stats == own
+
+
 @pytest.mark.parametrize("content", [b"", b"PK", b"no zip at all"])
 def test_what_is_no_npz_is_refused(tmp_path, content):
     path = tmp_path / "run.npz"

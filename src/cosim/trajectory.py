@@ -407,13 +407,14 @@ class Trajectory:
             "violations": violations_in(self.stats.get("invalid", ())),
         }
         content = io.BytesIO()
-        np.savez(content, time=self.time, values=self.values, facts=json.dumps(facts))
-        if not isinstance(target, str | os.PathLike):
-            target.write(content.getvalue())
-            return
-        from cosim.files import write_atomically  # only if a file is written
+        text = json.dumps(facts, default=np.generic.item)
+        np.savez(content, time=self.time, values=self.values, facts=text)
+        if isinstance(target, str | os.PathLike):
+            from cosim.files import write_atomically  # only if a file is written
 
-        write_atomically(target, content.getvalue())
+            write_atomically(target, content.getvalue())
+        else:
+            target.write(content.getvalue())
 
     @classmethod
     def from_npz(cls, source: str | os.PathLike[str] | BinaryIO) -> Trajectory:
@@ -423,9 +424,7 @@ class Trajectory:
             UsageError: The file is not of that kind.
         """
         try:
-            path = Path(source) if isinstance(source, str | os.PathLike) else None
-            content = io.BytesIO(path.read_bytes()) if path else source
-            with np.load(content, allow_pickle=False) as stored:
+            with np.load(source, allow_pickle=False) as stored:
                 facts = json.loads(str(stored["facts"]))
                 columns = tuple(Column(**column) for column in facts.pop("columns"))
                 facts["events"] = tuple(Event(**event) for event in facts["events"])
