@@ -13,6 +13,7 @@ from casadi_models.dae import Model
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.session.calls import StateCalls
 from cosim.session.copies import Copies
+from cosim.session.session import Session
 from cosim.session.single_copies import SingleCopies
 
 N = 5
@@ -57,6 +58,24 @@ def test_an_output_follows_an_input_that_is_set():
         copies.set(u=np.arange(N))
         np.testing.assert_array_equal(copies["twice"], 2.0 + np.arange(N))
         assert copies.time == 0.0
+
+
+def test_copies_are_closed_where_a_later_one_cannot_be_opened(monkeypatch):
+    opened = []
+
+    class Third(Session):
+        def __init__(self, *given):
+            if len(opened) == 2:
+                raise FmuError("no third one")
+            super().__init__(*given)
+            opened.append(self)
+
+    monkeypatch.setattr("cosim.session.open.Session", Third)
+    with pytest.raises(FmuError, match="no third one"):
+        cosim.open(decay(), copies=3, solver="erk")
+    for session in opened:
+        with pytest.raises(FmuError, match="closed"):
+            session.get("x")
 
 
 def test_a_copy_that_fails_disturbs_no_other():

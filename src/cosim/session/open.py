@@ -1,7 +1,9 @@
 """`open`: begin a session of a model, an FMU or a system."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
@@ -145,9 +147,20 @@ def open(
     experiment = Experiment(request.start, stop, request.tolerance)
     if copies is None:
         return Session(file, start_values or {}, experiment, dae)
+    several = _several(partial(Session, file, {}, experiment, dae), copies)
+    return Copies(several, copies, start_values or {}, experiment.startTime)
+
+
+def _several(make: Callable[[], Session | SystemSession], copies: int) -> SingleCopies:
+    """Return sessions; if one cannot be opened, those before are closed."""
     whole("open", "copies", copies, most=_MOST_INSTANCES)
-    sessions = [Session(file, {}, experiment, dae) for _ in range(copies)]
-    return Copies(SingleCopies(sessions), copies, start_values or {}, experiment.startTime)
+    sessions = list[Session | SystemSession]()
+    with ExitStack() as opened:
+        for _ in range(copies):
+            sessions.append(make())
+            opened.callback(sessions[-1].close)
+        opened.pop_all()
+    return SingleCopies(sessions)
 
 
 def _open_system(
@@ -171,6 +184,5 @@ def _open_system(
     )
     if copies is None:
         return SystemSession(system, values, settings, ends=ends)
-    whole("open", "copies", copies, most=_MOST_INSTANCES)
-    sessions = [SystemSession(system, {}, settings, ends=ends) for _ in range(copies)]
-    return Copies(SingleCopies(sessions), copies, values, settings.start)
+    several = _several(partial(SystemSession, system, {}, settings, ends=ends), copies)
+    return Copies(several, copies, values, settings.start)
