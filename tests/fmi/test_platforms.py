@@ -142,6 +142,7 @@ def test_portable_library_for_linux_runs_here_and_agrees(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmpy_compiles_the_sources(fmi, tmp_path, monkeypatch):
     beside = str(Path(sys.executable).parent)  # where pip puts the cmake that fmpy calls
