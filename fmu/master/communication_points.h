@@ -1,5 +1,4 @@
-/* Communication points: what is recorded there, and what happens there in all parts.
- */
+/* Communication points: what is recorded there, and what happens there in all parts. */
 #ifndef COMMUNICATION_POINTS_H
 #define COMMUNICATION_POINTS_H
 

@@ -1,7 +1,5 @@
 /* Events at communication points that inputs cause which leave their rest on a threshold with a
- * power of time: macro steps find the crossing where it is more than rounding, which may be much
- * later.
- */
+ * power of time: macro steps find the crossing where it is more than rounding, maybe much later. */
 #ifndef DEPARTURES_H
 #define DEPARTURES_H
 

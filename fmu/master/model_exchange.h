@@ -134,8 +134,8 @@ static inline int record_until(Exchange *self, double after, const double *end) 
 static inline int advance(Exchange *self, double goal, int *rejected, bool *event) {
     Run *run = self->run;
     double end[NX], z[NZ], after;
-    const int final = self->t + 1.01 * self->h >= goal; /* as where goals differ by rounding */
-    if (!final && 0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
+    const bool reaches = step_end(self->t, self->h, goal) == goal; /* however near the goal is */
+    if (!reaches && 0.1 * self->h <= fabs(self->t) * DBL_EPSILON) {
         if (self->fmu->function) return CALL_FAILED; /* what was discarded all the way */
         return STEP_VANISHED;
     }

@@ -77,11 +77,16 @@ static inline double error_of(const Ode *ode, double h, const double *x, const d
     return both > 0 ? fabs(h) * sum_5 / sqrt(NX * both) : 0 * both; /* nan stays nan */
 }
 
-/* Tries a step of about a size: it ends at a goal that is hardly beyond. Returns its error, NaN
- * where it has no value; `after` and `end` are the time and the state at its end. */
+/* Where a step of about a size ends: at a goal that is hardly beyond. */
+static inline double step_end(double t, double size, double goal) {
+    return t + 1.01 * size >= goal ? goal : t + size;
+}
+
+/* Tries such a step. Returns its error, NaN where it has no value; `after` and `end` are the time
+ * and the state at its end. */
 static inline double try_step(const Ode *ode, double t, double size, double goal, const double *x,
                               Slopes k, double *after, double *end) {
-    *after = t + 1.01 * size >= goal ? goal : t + size;
+    *after = step_end(t, size, goal);
     const double h = *after - t; /* as time is rounded: states must not run away from it */
     return stages(ode, t, h, x, k, end) ? NAN : error_of(ode, h, x, end, k);
 }

@@ -18,7 +18,8 @@
 enum { REPORT = 9 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
-#define MOST_TRIALS 100000 /* per output interval */
+#define MOST_TRIALS 100000               /* per output interval */
+static const double LEAST_FIRST = 1e-12; /* as in dop853.h */
 
 /* What is to be run; arrays by run, then by time. Threads share one batch. */
 typedef struct {
@@ -67,8 +68,7 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
             rate = norm(self, batch, self->k[0], self->x);
     const V least = every(1e-5);
     V h = pick((size > least) & (rate > least), every(0.01) * size / rate, every(1e-6));
-    /* rounding leaves tiny states, whose size says nothing of steps */
-    const V shortest = every(1e-12 * fmax(fabs(batch->grid[0]), span));
+    const V shortest = every(LEAST_FIRST * fmax(fabs(batch->grid[0]), span));
     h = smaller(larger(h, shortest), every(span));
     for (int i = 0; i < NX; ++i) self->end[i] = self->x[i] + h * self->k[0][i];
     slopes(self, self->t + h, self->end, self->k[1]);
