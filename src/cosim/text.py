@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from html import escape
-from math import isfinite
 from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
@@ -34,6 +33,11 @@ def sentence(text: str) -> str:
     """Return a foreign message as one line of bounded length."""
     line = visible(" ".join(text.split()))
     return line if len(line) <= LONGEST_SENTENCE else f"{line[: LONGEST_SENTENCE - 4]} ..."
+
+
+def one_note(*notes: str | None) -> str:
+    """Return notes in one line, without empty ones; "" if all are."""
+    return "; ".join(filter(None, notes))
 
 
 def described(error: BaseException) -> str:
@@ -247,15 +251,8 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
 
 def json_text(facts: Any, indent: int | None = None) -> str:
     """Return plain values as JSON, which has null where a number is not finite."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, float):
-            return value if isfinite(value) else None
-        if isinstance(value, Mapping):
-            return {key: plain(one) for key, one in value.items()}
-        return [*map(plain, value)] if isinstance(value, list | tuple) else value
-
-    return json.dumps(plain(facts), indent=indent, allow_nan=False)
+    plain = json.loads(json.dumps(facts, default=dict), parse_constant=lambda _: None)
+    return json.dumps(plain, indent=indent)
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -47,6 +47,7 @@ from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.model.times import time_grid
 from cosim.series.samples import below
+from cosim.text import one_note
 from cosim.trajectory import Column, Event, Trajectory
 
 DEFAULT_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
@@ -137,7 +138,7 @@ class CoSimulation:
             step = settings.macro_step
             run, _, ranges = (self._accurate(task), None, None) if step is None else given(step)
             small = below(run.columns, run.values, run.stats.get("accuracy", 0.0))
-            notes = "; ".join(filter(None, (run.stats.get("note"), small)))
+            notes = one_note(run.stats.get("note"), small)
             stats = {**run.stats, "wall_time": perf_counter() - began}
             run = replace(run, stats=stats | ({"note": notes} if notes else {}))
             if ranges:

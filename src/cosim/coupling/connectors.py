@@ -81,8 +81,9 @@ def with_outputs(
         column = replace(source, name=connector.name, unit=connector.unit or source.unit)
         if column.unit != source.unit or end.factor != 1:
             nominal = abs(end.factor) * source.nominal or source.nominal
-            column = replace(column, display_unit=None, nominal=nominal)
-            column = replace(column, display_factor=None, display_offset=0.0)
+            column = replace(
+                column, display_unit=None, display_factor=None, display_offset=0.0, nominal=nominal
+            )
         columns.append(column)
         values.append((end.factor * run[source.name] + end.offset)[:, np.newaxis])
     whole = replace(run, columns=tuple(columns), values=np.hstack(values))

@@ -8,7 +8,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
 from cosim.coupling.part import Part, part_of
 from cosim.errors import UsageError
-from cosim.text import Violation
+from cosim.text import Violation, one_note
 from cosim.trajectory import Trajectory
 
 Name = tuple[str, str]  # part and variable
@@ -91,8 +91,7 @@ class Merged:
             replace(event, name=event.name.removeprefix(f"{self.whole}: ")) for event in run.events
         )
         together = f"{' and '.join(self.names)} slide on each other: they are simulated as one part"
-        notes = [*filter(None, [run.stats.get("note")]), together]
-        stats = {**run.stats, "note": "; ".join(notes)}
+        stats = {**run.stats, "note": one_note(run.stats.get("note"), together)}
         if "invalid" in stats:
             texts = (
                 (one.time, one.what.removeprefix(f"{self.whole}: ")) for one in stats["invalid"]

@@ -34,7 +34,7 @@ from cosim.integrate.modes import hybrid
 from cosim.model.request import choice
 from cosim.model.times import time_grid
 from cosim.model.values import listed, number, plain_values
-from cosim.text import MOST_NAMES, shortened
+from cosim.text import MOST_NAMES, one_note, shortened
 from cosim.trajectory import Trajectory
 
 
@@ -288,13 +288,12 @@ class System:
                 raise
         if undriven := [name for name in self.undriven_inputs if split_key(name) not in given]:
             run = replace(run, stats={**run.stats, "undriven_inputs": undriven})
-        notes = [run.stats["note"]] if "note" in run.stats else []
-        notes += [
+        notes = (
             f"no file defines the unit '{unit}': {connection} is not converted"
             for unit, connection in undefined_units(self.parts, self.connections).items()
-        ]
-        if notes:
-            run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
+        )
+        if note := one_note(run.stats.get("note"), *notes):
+            run = replace(run, stats={**run.stats, "note": note})
         return with_outputs(run, self.connectors, names)
 
     def _reject_no_parts(self) -> None:

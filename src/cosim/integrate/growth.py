@@ -27,6 +27,7 @@ from cosim.model.growth import (
 from cosim.model.solver import AdaptiveSolver, Tolerance
 from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
 from cosim.model.values import error_sizes, own_sizes
+from cosim.text import one_note
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
 
@@ -64,7 +65,7 @@ def followed_growth(
 
 
 def _noted(motion: Motion, text: str) -> Motion:
-    return replace(motion, note="; ".join(filter(None, (motion.note, text))))
+    return replace(motion, note=one_note(motion.note, text))
 
 
 def _with_digits(

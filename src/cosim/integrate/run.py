@@ -47,7 +47,7 @@ from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import Times
 from cosim.model.values import Values, numbers_of, own_sizes
 from cosim.series.samples import uncontrolled
-from cosim.text import Ending, EndKind
+from cosim.text import Ending, EndKind, one_note
 from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
@@ -197,7 +197,7 @@ def _step_check(
     grid, states = found.time[:n], (found.states[:, :n], finer.states[:, :n])
     check = step_check(problem.dae, grid, *states, step)
     cause = finer_than_steps(found, problem.inputs) if check != StepCheck() else ""
-    return check._replace(note="; ".join(filter(None, (check.note, cause)))), Ending()
+    return check._replace(note=one_note(check.note, cause)), Ending()
 
 
 def run(request: RunRequest) -> Trajectory:
@@ -236,7 +236,7 @@ def run(request: RunRequest) -> Trajectory:
             notes.append(note)
     if notes:
         assert isinstance(found.stats, RunStats)
-        note = "; ".join(filter(None, (*notes, found.stats.note)))
+        note = one_note(*notes, found.stats.note)
         found = replace(found, stats=replace(found.stats, note=note))
     if request.policy.record_events:
         found = found.with_events()
@@ -416,8 +416,7 @@ def _note(prepared: Prepared, motion: Motion, check: StepCheck, again: Again) ->
         seen = again(rows_between(motion, problem.grid))
         small = _small_states(problem.dae, inner, seen.states)
     changed = tight if inner != prepared.solver else ""
-    notes = changed, gaps, prepared.note, small, motion.note, check.note
-    return "; ".join(filter(None, notes)) or None
+    return one_note(changed, gaps, prepared.note, small, motion.note, check.note) or None
 
 
 def _small_states(dae: Dae, solver: Solver, states: Vector) -> str:

@@ -82,6 +82,11 @@ def whole(owner: str, name: str, value: Any, least: int = 1, most: int = MOST_CO
     return int(value)
 
 
+def position(owner: str, name: str, i: Any, count: int) -> int:
+    """Return a position that may count from the end as one from the start; see `whole`."""
+    return whole(owner, name, i, -count, count - 1) % count
+
+
 def time_limit_from(owner: str, value: Any) -> float:
     """Return a time limit, s; infinite if there is none.
 

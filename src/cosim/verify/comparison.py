@@ -16,7 +16,7 @@ from cosim.model.solver import Tolerance
 from cosim.model.values import number
 from cosim.presenters import presenter
 from cosim.series.samples import NOT_GIVEN
-from cosim.text import MOST_LINES, html_table, text_table
+from cosim.text import MOST_LINES, html_table, one_note, text_table
 from cosim.trajectory import Trajectory
 
 _ONE_INSTANT = 1e-6  # distance of a row from an event at its time, of the span
@@ -230,7 +230,7 @@ def compare(
     differences.sort(key=lambda difference: -difference.scaled)
     left_out = f"gaps left out: {gaps.sum()}" if gaps.any() else ""
     unsure = _unsure(names, scaled, sizes, small, bound)
-    note = "; ".join(filter(None, (note, left_out, unsure)))
+    note = one_note(note, left_out, unsure)
     title = f"{labels[1]} minus {labels[0]}"
     residuals = Trajectory(title, first.time, runs[0].columns, values)
     return Comparison(*labels, tuple(differences), residuals, runs, bound, note)

@@ -37,6 +37,7 @@ from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Growth
 from cosim.model.troughs import MOST_TRIALS, Trough
+from cosim.text import one_note
 from cosim.trajectory import Event, Trajectory
 
 
@@ -108,7 +109,7 @@ class OpenedFmu:
                 break
         if not text:
             return found
-        note = "; ".join(filter(None, (found.stats.get("note"), text)))
+        note = one_note(found.stats.get("note"), text)
         return replace(found, stats={**found.stats, "note": note})
 
     def _run(

@@ -13,6 +13,7 @@ from cosim.fmi.run.opened import Master, OpenedFmu, still_open
 from cosim.fmi.run.request import TIME, WHY_NOT_TIME, FmuRequest, rounding
 from cosim.model.request import choice
 from cosim.series.samples import uncontrolled
+from cosim.text import one_note
 from cosim.trajectory import Trajectory
 
 _MANY_ROWS = 400  # that show how large a state gets
@@ -98,14 +99,13 @@ def simulate_fmu(
             finer = replace(request, interval=request.interval / parts)
             small = _small_states(request, fmu.run(finer, master))
     gaps = request.inputs.gaps(request.start, request.stop) if request.inputs else ""
-    notes = (
+    note = one_note(
         run.stats.get("note"),
         gaps,
         small,
         rounding(request.recorded, run),
         _left_out(request) if outputs is None else "",
     )
-    note = "; ".join(filter(None, notes))
     stats = {**run.stats, "wall_time": perf_counter() - began}
     return replace(run, stats=stats | {"note": note} if note else stats)
 

@@ -13,9 +13,9 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import UnknownName, naming_arguments_of
 from cosim.host.optional_packages import optional_module
-from cosim.model.values import whole
+from cosim.model.values import position
 from cosim.series.curves import DEFAULT_RELATIVE_TOLERANCE, Curves, Rows, curves, of_rows
-from cosim.text import MOST_LINES, Table, counted, sentence, short_reason, text_table
+from cosim.text import MOST_LINES, Table, counted, one_note, sentence, short_reason, text_table
 from cosim.trajectory import Column, Trajectory
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ class Ensemble:
 
     def run(self, i: int) -> Trajectory:
         """Return one run up to its last valid output time, or to the event that ended it."""
-        i = self._position(i)
+        i = position(self.model, "run", i, len(self.states))
         if i in self.with_events:
             return self.with_events[i]
         n = int(self.reached[i])
@@ -249,7 +249,7 @@ class Ensemble:
 
     def rows(self, i: int) -> Curves:
         """Return what the output times tell of a run."""
-        i = self._position(i)
+        i = position(self.model, "run", i, len(self.states))
         run = self.with_events.get(i)
         return of_rows(
             Rows(self.time, self.values[i]) if run is None else Rows(run.time, run.values)
@@ -283,15 +283,10 @@ class Ensemble:
 
     def reason(self, i: int) -> str:
         """Return from when on a run is invalid, and why it is not complete; "" if neither."""
-        i = self._position(i)
+        i = position(self.model, "run", i, len(self.states))
         invalid, stopped = self.invalid.get(i, ""), self.reasons.get(i, "")
         first = "" if invalid and invalid in stopped else short_reason(invalid)
-        return "; ".join(filter(None, (first, short_reason(stopped))))
-
-    def _position(self, i: int) -> int:
-        """Return a position that may count from the end as one from the start."""
-        count = len(self.states)
-        return whole(self.model, "run", i, -count, count - 1) % count
+        return one_note(first, short_reason(stopped))
 
     def summary(self) -> Table:
         """Return the smallest and largest value of each quantity, of the rows of all runs."""

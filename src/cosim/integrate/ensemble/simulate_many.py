@@ -39,6 +39,7 @@ from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Solver, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import MOST_COUNT, assign, numbers_of, settable_variable, whole
+from cosim.text import one_note
 from cosim.trajectory import Column, Trajectory
 
 _MOST_LANES = 64
@@ -221,7 +222,7 @@ def _one_by_one(
             return found
         assert isinstance(found.stats, RunStats)
         other = f"computed by {usual.name}, not {solver.name}"
-        note = "; ".join(filter(None, (other, found.stats.note)))
+        note = one_note(other, found.stats.note)
         return replace(found, stats=replace(found.stats, note=note))
 
     return one_by_one(

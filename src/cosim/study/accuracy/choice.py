@@ -21,7 +21,7 @@ from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Tolerance
 from cosim.series.samples import below
 from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
-from cosim.text import EndKind
+from cosim.text import EndKind, one_note
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Difference, compare
 from cosim.verify.reference import rounding_errors
@@ -245,7 +245,7 @@ def _with_check(found: Trajectory, goal: Goal, check: ErrorCheck) -> Trajectory:
     """Return a run whose `stats` report the goal and the error."""
     assert isinstance(found.stats, RunStats)
     small = below(found.columns, found.values, goal.accuracy) if goal.accuracy else ""
-    note = "; ".join(filter(None, (found.stats.note, small))) or None
+    note = one_note(found.stats.note, small) or None
     return replace(found, stats=replace(found.stats, **vars(goal), **vars(check), note=note))
 
 

@@ -1,7 +1,7 @@
 """The samples of a sweep: tables, grids and designs."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -53,6 +53,10 @@ class Samples:
     def part(self, first: int, count: int) -> dict[str, Vector]:
         """Return consecutive rows."""
         return {name: column[first : first + count] for name, column in self.columns.items()}
+
+    def distinct_names(self, taken: Collection[str]) -> dict[str, str]:
+        """Return by name what each quantity is called among results that have taken some names."""
+        return {name: f"{name}_start" if name in taken else name for name in self.columns}
 
     @cached_property
     def digest(self) -> str:

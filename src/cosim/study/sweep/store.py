@@ -83,7 +83,7 @@ class Layout:
         """Array of each varied quantity, by name; another array may have the name itself."""
         taken = {*_OF_RUNS, *self.number_units}
         taken |= {column.name for column in self.columns if self.keep.trajectories}
-        return {n: f"{n}_start" if n in taken else n for n in self.samples.columns}
+        return self.samples.distinct_names(taken)
 
     def described(self) -> dict[str, Any]:
         """Return the manifest as a store holds it, in the types of JSON."""

@@ -22,7 +22,7 @@ from cosim.host.optional_packages import optional_module
 from cosim.host.signals import ended_by_signals
 from cosim.integrate.ensemble.ensemble import RunState, first_of, range_row, varied_rows
 from cosim.integrate.ensemble.lanes import processors
-from cosim.model.values import whole
+from cosim.model.values import position, whole
 from cosim.study.sweep.block import COMPLETE, NOT_COMPUTED, STATES, Block, Job
 from cosim.study.sweep.functions import function_name
 from cosim.study.sweep.reductions import Function, Statistics, keep_from
@@ -159,8 +159,7 @@ class SweepResult:
             UsageError: The sweep does not store trajectories.
         """
         self._need_trajectories()
-        whole("sweep", "run", i, -len(self.states), len(self.states) - 1)
-        i %= len(self)
+        i = position("sweep", "run", i, len(self))
         n = int(self.reached[i])
         complete = self.states[i] is RunState.COMPLETE
         status = "complete" if complete else self.reasons.get(i, str(self.states[i]))
@@ -191,12 +190,11 @@ class SweepResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the table of runs: samples, status, reason, steps, numbers; one row per run."""
-        taken = {"run", "status", "reason", "steps", *self.numbers}
-        varied = {f"{n}_start" if n in taken else n: v for n, v in self.samples.columns.items()}
+        varied = self.samples.distinct_names({"run", "status", "reason", "steps", *self.numbers})
         return [
             {
                 "run": i,
-                **{name: float(column[i]) for name, column in varied.items()},
+                **{varied[name]: float(v[i]) for name, v in self.samples.columns.items()},
                 "status": str(STATES[self.codes[i]]),
                 "reason": self.reasons.get(i, ""),
                 "steps": int(self.steps[i]),
