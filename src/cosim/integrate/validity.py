@@ -113,7 +113,7 @@ def _least(
         seen: Its algebraic unknowns.
         k: The interval, whose unknowns and inputs are those at its start.
         rows: Those through whose states and rates the curve goes.
-        stops: Whether the first margin that is not positive is wanted, if there is one. What is not
+        stops: Whether to return the first margin that is not positive, if there is one. What is not
             a number is such a margin then, and is passed over otherwise.
     """
     start, inputs = motion.time[k], np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))

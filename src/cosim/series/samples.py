@@ -262,10 +262,9 @@ def _smaller(columns: Sequence[Column], values: Vector, limits: ArrayLike) -> li
     """Name what has no nominal value, and stays below a limit, but above rounding of the others."""
     peaks = np.abs(values).max(axis=0, initial=0.0)
     rounding = ROUNDING_OF_OTHERS * peaks.max(initial=0.0)
+    limits = np.broadcast_to(limits, peaks.shape)
     return [
         f"{column.name} (at most {peak:.1g})"
-        for column, peak, limit in zip(
-            columns, peaks, np.broadcast_to(limits, peaks.shape), strict=True
-        )
+        for column, peak, limit in zip(columns, peaks, limits, strict=True)
         if column.nominal == NOT_GIVEN and rounding < peak < limit
     ]

@@ -64,15 +64,14 @@ def run(args: argparse.Namespace) -> int:
 def _settings(args: argparse.Namespace, scene: Scene) -> dict[str, Any]:
     """Return what a scene says of the run up to the state."""
     request = scene.request
-    settings = {"inputs": request.inputs, "start_time": request.times.start}
-    if not isinstance(request.solver, Goal):
-        return settings | {"solver": request.solver}
-    if args.at is not None:
+    has_goal = isinstance(request.solver, Goal)
+    if has_goal and args.at is not None:
         raise UsageError(
             f"{scene.name}: a run up to a time has no accuracy and no budget here; give a solver "
             "and a tolerance"
         )
-    return settings
+    solver = None if has_goal else request.solver
+    return {"inputs": request.inputs, "start_time": request.times.start, "solver": solver}
 
 
 def _along(

@@ -154,7 +154,6 @@ def _linearized(
         names = checked_outputs(dae, outputs)
     period = period_of(dae, values)
     if isinstance(at, float):
-        states = [v.name for v in dae.states]
         request = requested(
             dae,
             start_values=start_values,
@@ -163,7 +162,7 @@ def _linearized(
             output_interval=abs(at - start_time) or 1.0,
             solver=solver,
             relative_tolerance=relative_tolerance,
-            outputs=states,
+            outputs=[v.name for v in dae.states],
             inputs=inputs,
         )
         found = run(request)
