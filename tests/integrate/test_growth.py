@@ -195,6 +195,45 @@ def test_growth_of_what_an_algebraic_unknown_pushes_is_seen():
     assert abs(cosim.simulate(model.freeze())["x"][-1] - FALLEN) < 1e-3
 
 
+def late_pendulum(interval, stiffness):
+    x, v, t = SX.sym("x"), SX.sym("v"), SX.sym("t")
+    ode = ca.vertcat(v, stiffness(t) * ca.sin(x) - 0.5 * v + PUSH)
+    options = {"stop_time": 30, "output_interval": interval}
+    return cosim.from_casadi(
+        {"t": t, "x": ca.vertcat(x, v), "ode": ode}, {}, name="late", **options
+    )
+
+
+@pytest.mark.slow_rows("fmpy-30.0-on", "c-0.1-on", "fmpy-0.1-while", "c-30.0-while")
+@pytest.mark.parametrize(
+    ("stiffness", "right"),  # by SciPy's DOP853 at rtol 1e-12, steps of 0.075 s at most
+    [(lambda t: t - 10, 2.7895859), (lambda t: 14 - 15 * ca.cos(np.pi * t / 15), 3.0170088)],
+    ids=["on", "while"],
+)
+@pytest.mark.parametrize("interval", [0.1, 30.0])
+@pytest.mark.parametrize("runner", ["cvodes", "dop853", "idas", "lanes", "fmpy", "c"])
+def test_growth_that_begins_within_a_run_is_followed(interval, stiffness, right, runner, tmp_path):
+    dae = late_pendulum(interval, stiffness)
+    if runner in ("fmpy", "c"):
+        path = cosim.export_fmu(dae, tmp_path / "late.fmu")
+        run = cosim.simulate_fmu(path, interface="ModelExchange", master=runner)
+    elif runner == "lanes":
+        run = cosim.simulate_many(dae, {"x": [0.0, 1.0]}).run(0)
+    else:
+        run = cosim.simulate(dae, solver=runner)
+    assert run["x"][-1] == pytest.approx(right, abs=1e-4)  # before: 3.25, 0.7
+
+
+@pytest.mark.parametrize(
+    "dae",
+    [lambda: late_pendulum(0.1, lambda t: 4 * ca.exp(-t) - 1), "disk_two_bars/multipliers"],
+    ids=["growth ends", "hinges"],
+)
+def test_growth_that_ends_before_it_is_seen_is_no_note(dae):
+    run = cosim.simulate(dae() if callable(dae) else dae)
+    assert "grows by e" not in run.stats.get("note", "")
+
+
 @pytest.mark.parametrize(
     "model",
     [

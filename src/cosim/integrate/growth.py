@@ -14,7 +14,6 @@ from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
-from cosim.integrate.outputs import derivatives_at
 from cosim.memo import cached_per_thread
 from cosim.model.growth import (
     Closer,
@@ -164,13 +163,8 @@ def _path(motion: Motion, sizes: Vector) -> StatePath:
         at = replace(motion, time=times, states=states, algebraics=z, u=u)
         return rates_at(at, slice(None))
 
-    def slopes(time: float, states: Vector) -> Vector:
-        z, u = _known(motion, np.array([time]))
-        try:
-            found = derivatives_at(motion.dae, (), time, states, z, u, motion.p)[2]
-        except np.linalg.LinAlgError:
-            return np.full((len(states), len(states)), np.nan)
-        return found[: len(states), : len(states)]
+    def slopes(times: Vector, states: Vector) -> Vector:
+        return _slopes(motion.dae, times[None], states, *_known(motion, times), motion.p)
 
     names = [state.name for state in motion.dae.states]
     return StatePath(names, motion.time, motion.states, sizes, rates, slopes, _fed_back(motion.dae))
@@ -199,10 +193,33 @@ def _fed_back(dae: Dae) -> Truths:
     return found
 
 
+def _slopes(dae: Dae, t: Vector, x: Vector, z: Vector, u: Vector, p: Vector) -> Vector:
+    """Return the derivatives of dx/dt by the states at places, (m, nx, nx).
+
+    They are not numbers where the algebraic equations do not determine their unknowns.
+
+    Args:
+        dae: The model.
+        t, x, z, u, p: The places, where the algebraic equations hold: (1, m), (nx, m) ...; one
+            column may serve all.
+    """
+    by_x, by_z, alg_x, alg_z = (
+        np.array(block).reshape(block.rows(), t.size, block.columns() // t.size).transpose(1, 0, 2)
+        for block in _blocks(dae).call([t, x, z, u, p])
+    )
+    for k in range(t.size if dae.algebraics else 0):
+        try:
+            by_x[k] -= by_z[k] @ np.linalg.solve(alg_z[k], alg_x[k])
+        except np.linalg.LinAlgError:
+            by_x[k] = np.nan
+    return by_x
+
+
 @cached_per_thread(16)
-def _slopes_of_ode(dae: Dae) -> ca.Function:
-    slopes = ca.densify(ca.jacobian(dae.ode, dae.x))
-    return ca.Function("slopes", dae.arguments, [slopes], {"cse": True})
+def _blocks(dae: Dae) -> ca.Function:
+    pairs = ((of, by) for of in (dae.ode, dae.alg) for by in (dae.x, dae.z))
+    slopes = [ca.densify(ca.jacobian(*pair)) for pair in pairs]
+    return ca.Function("slopes", dae.arguments, slopes, {"cse": True})
 
 
 def growing_starts(
@@ -222,9 +239,8 @@ def growing_starts(
     found = np.zeros(len(straight), dtype=bool)
     if not found.size:
         return found
-    known = begin, x, np.empty((0, 1)), u, p
-    rate, of_x = np.array(equations(dae)(*known)[0]), np.array(_slopes_of_ode(dae)(*known))
-    slopes = of_x.reshape(len(x), len(found), len(x)).transpose(1, 0, 2)
+    known = np.full((1, len(found)), begin), x, np.empty((0, 1)), u, p
+    rate, slopes = np.array(equations(dae)(*known)[0]), _slopes(dae, *known)
     slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0
     own, which = np.unique(slopes.reshape(len(found), -1), axis=0, return_inverse=True)
     values = np.linalg.eigvals(own.reshape(-1, *slopes.shape[1:]))
@@ -232,7 +248,7 @@ def growing_starts(
     every = np.ones(len(x), dtype=bool)
     for i in np.flatnonzero(fastest * (straight - begin) > 1):
         at = np.array([begin, straight[i], end])
-        line = x[:, [i]] + rate[:, [i]] * (at - begin)
+        line = x[:, [i]] + rate[:, [i]] * (np.fmin(at, straight[i]) - begin)
         motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], p[:, i], Counts())
         path = _path(motion, sizes[:, i])
         found[i] = growth_along(path, 0, 1, every, absolute) is not None

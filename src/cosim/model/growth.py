@@ -3,8 +3,9 @@
 Near an unstable equilibrium a deviation grows from far below the absolute tolerance. The error
 control does not see it there: steps become longer than the time of growth, and an implicit one
 suppresses it. Where the states that grow together move along straight lines to the tolerance, the
-eigenvalues tell how far the deviation would have grown; to be seen from the beginning, it needs a
-smaller tolerance. Where rounding alone keeps a motion at an equilibrium, no tolerance helps.
+eigenvalues at some places tell how far the deviation would have grown; to be seen from the
+beginning, it needs a smaller tolerance. Where rounding alone keeps a motion at an equilibrium, no
+tolerance helps.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +19,7 @@ from cosim.arrays import Truths, Vector
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
+_PLACES, _LATER = 9, 3  # of a line, and of what follows, whose eigenvalues tell of growth
 _MOST_EXPONENT = 600.0
 _SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
@@ -30,8 +32,9 @@ class Growth(NamedTuple):
     Attributes:
         state: Name of the state in which it is largest.
         time: When it begins at the latest, s.
-        growth_time: In which it grows by the factor e, s.
+        growth_time: In which it grows by the factor e at first, s.
         size: Its size at the beginning, in nominal values.
+        until: When it has nominal size, or the run ends, s.
         rounding: Whether it is but rounding, which no tolerance makes smaller.
     """
 
@@ -39,6 +42,7 @@ class Growth(NamedTuple):
     time: float
     growth_time: float
     size: float
+    until: float
     rounding: bool = False
 
     def closer(self, relative: float, absolute: float) -> "Closer":
@@ -49,8 +53,7 @@ class Growth(NamedTuple):
                 0, the absolute one is.
             absolute: Absolute tolerance of the run, in nominal values.
         """
-        until = self.time - self.growth_time * float(np.log(self.size))
-        return Closer(np.array((relative or absolute) * self.size / absolute), until)
+        return Closer(np.array((relative or absolute) * self.size / absolute), self.until)
 
     def note(self, closer: "Closer", absolute: float, followed: bool) -> str:
         """Return what to say of a run.
@@ -99,8 +102,8 @@ class StatePath:
         states: (nx, n).
         sizes: Nominal values of the states, (nx,).
         rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
-        slopes: Returns the derivatives of dx/dt by the states, (nx, nx), at a time, s, and states,
-            (nx,); not finite where they have no value.
+        slopes: Returns the derivatives of dx/dt by the states, (m, nx, nx), at times, s, (m,), and
+            states, (nx, m); not finite where they have no value.
         fed_back: Which states may grow by acting on themselves, (nx,); all if None.
     """
 
@@ -109,7 +112,7 @@ class StatePath:
     states: Vector
     sizes: Vector
     rates: Callable[[Vector, Vector], Vector]
-    slopes: Callable[[float, Vector], Vector]
+    slopes: Callable[[Vector, Vector], Vector]
     fed_back: Truths | None = None
 
 
@@ -127,19 +130,11 @@ def suppressed_growth(
         return None
     rows = _rows_per_step(path.time, steps)
     spans = _straight(path, rows, relative, absolute * path.sizes)
-    known = dict[float, Vector]()
-
-    def slopes(time: float, states: Vector) -> Vector:
-        if time not in known:  # several spans begin at one row
-            known[time] = path.slopes(time, states)
-        return known[time]
-
-    remembering = replace(path, slopes=slopes)
-    found = [growth_along(remembering, *span, absolute) for span in spans]
+    found = [growth_along(path, *span, absolute) for span in spans]
     if spans or steps >= len(path.time):  # where steps are closer than rows, a line may be shorter
         found += [
-            growth_along(line, 0, 1, calm, absolute)
-            for line, calm in _first_lines(remembering, relative, absolute)
+            growth_along(line, 0, last, calm, absolute)
+            for line, last, calm in _first_lines(path, relative, absolute)
         ]
     return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
 
@@ -169,13 +164,19 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
 
 def _first_lines(
     path: StatePath, relative: float, absolute: float
-) -> Iterator[tuple[StatePath, Truths]]:
-    """Return lines from the start that are ones to the tolerance, and in which states, (nx,)."""
+) -> Iterator[tuple[StatePath, int, Truths]]:
+    """Return lines from the start that are ones to the tolerance.
+
+    Returns:
+        A path with rows along the line, the row at its end, and which states lie on it, (nx,).
+    """
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
-    slopes = path.slopes(begin, x[:, 0])
-    if not np.isfinite(slopes).all() or np.linalg.eigvals(slopes).real.max() * (stop - begin) <= 1:
-        return
     rate = path.rates(path.time[:1], x)
+    times = np.linspace(begin, stop, _PLACES)
+    slopes = path.slopes(times, x + rate * (times - begin))
+    finite = _finite(slopes)
+    if not finite[0] or np.linalg.eigvals(slopes[finite]).real.max() * (stop - begin) <= 1:
+        return
     length = stop - begin
     before = np.zeros(len(x), dtype=bool)
     while length > _SHORTEST * (stop - begin) and not before.all():
@@ -183,10 +184,16 @@ def _first_lines(
         bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
         calm = (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all(axis=1)
         if (calm & ~before).any():
-            time = np.array([begin, begin + length, stop])
-            yield replace(path, time=time, states=np.hstack((x, end, end))), calm
+            time = np.union1d(path.time, np.linspace(begin, begin + length, _PLACES))
+            states = np.array([np.interp(time, path.time, row) for row in path.states])
+            last = int(time.searchsorted(begin + length))
+            yield replace(path, time=time, states=states), last, calm
         before |= calm
         length /= 4
+
+
+def _finite(slopes: Vector) -> Truths:
+    return np.array([np.isfinite(own).all() for own in slopes])
 
 
 def _rows_per_step(t: Vector, steps: int) -> Vector:
@@ -243,30 +250,23 @@ def growth_along(
         absolute: Absolute tolerance, in nominal values.
     """
     t, sizes = path.time, path.sizes
-    slopes = path.slopes(t[first], path.states[:, first]) * sizes / sizes[:, None]
-    if not np.isfinite(slopes).all():
+    rate = path.rates(t[[first]], path.states[:, [first]])
+    on_line = calm[:, None] & (t <= t[last])
+    line = np.where(on_line, path.states[:, [first]] + rate * (t - t[first]), path.states)
+    course = _Course.of(replace(path, states=line), first, last, calm)
+    if course is None:
         return None
-    values, left = np.linalg.eig(slopes.T)
-    shares = np.abs(left.T) / np.abs(left).max(axis=0)[:, None]
-    alone = ~((shares > _COUPLED) & ~calm).any(axis=1)
-    growing = alone & (values.real * (t[last] - t[first]) > 1)
-    if not growing.any():
-        return None
-    rows = np.unique([first, (first + last) // 2, last])
-    states = path.states[:, rows]
-    rate = path.rates(t[[first]], states[:, :1])
-    line = np.where(calm[:, None], states[:, :1] + rate * (t[rows] - t[first]), states)
-    f = path.rates(t[rows], line) / sizes[:, None]
-    rounding = np.abs(slopes) @ np.abs(states / sizes[:, None])
+    rows = np.unique([course.first, (course.first + last) // 2, last])
+    f = path.rates(t[rows], line[:, rows]) / sizes[:, None]
+    rounding = np.abs(course.slopes) @ np.abs(path.states[:, rows] / sizes[:, None])
     found = list[Growth]()
-    for value, direction in zip(values[growing], left.T[growing], strict=True):
+    for value, direction in zip(course.values, course.directions, strict=True):
         push = np.abs(direction @ f)
         noise = np.abs(direction) @ rounding
-        growing_by = float(value.real)
         level = _ROUNDINGS * _EPS * noise
-        exponents = np.minimum(growing_by * (t[rows] - t[first]), _MOST_EXPONENT)
+        exponents = course.exponents(value.real)
         if 0 < push[0] <= level[0]:  # by then, rounding has grown
-            level = np.fmax(level, level[0] * np.exp(exponents))
+            level = np.fmax(level, level[0] * np.exp(np.interp(t[rows], course.time, exponents)))
         rising = np.flatnonzero(push > level)
         only = not len(rising)
         if only:
@@ -274,7 +274,69 @@ def growth_along(
         if not len(rising):
             continue
         size = float(push[rising].min()) / abs(value)
-        if size * np.exp(min(growing_by * (t[-1] - t[first]), _MOST_EXPONENT)) > absolute:
+        if size * np.exp(exponents[-1]) > absolute:
             state = path.names[int(np.argmax(np.abs(direction)))]
-            found.append(Growth(state, float(t[rows[rising[0]]]), 1 / growing_by, size, only))
+            begin = float(t[rows[rising[0]]])
+            grown = exponents - np.interp(begin, course.time, exponents)
+            until = float(np.interp(-np.log(size), grown, course.time))
+            found.append(Growth(state, begin, 1 / float(value.real), size, until, only))
     return min(found, key=lambda growth: (growth.rounding, growth.size), default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """How a deviation grows along a line, and after it.
+
+    Attributes:
+        first: Row at which it begins to grow.
+        time: Places from there to the last row, s, (m,).
+        fastest: Natural logarithm of the growth of what grows fastest, by then, (m,).
+        slopes: Derivatives of dx/dt by the states, in nominal values, (nx, nx).
+        values, directions: Eigenvalues, (k,), and left eigenvectors, (k, nx), of what grows.
+    """
+
+    first: int
+    time: Vector
+    fastest: Vector
+    slopes: Vector
+    values: Vector
+    directions: Vector
+
+    @classmethod
+    def of(cls, path: StatePath, first: int, last: int, calm: Truths) -> "_Course | None":
+        """Return how a deviation grows; None if it does not.
+
+        Args:
+            path: Its states lie on the line as far as this goes.
+            first, last, calm: See `growth_along`.
+        """
+        t, sizes = path.time, path.sizes
+        wanted = np.linspace(t[first], t[last], _PLACES), np.linspace(t[last], t[-1], _LATER)
+        rows = np.unique(np.clip(t.searchsorted(np.concatenate(wanted)), first, len(t) - 1))
+        slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
+        finite = _finite(slopes)
+        if not finite[0]:
+            return None
+        rows, slopes = rows[finite], slopes[finite]
+        values, left = np.linalg.eig(slopes.transpose(0, 2, 1))
+        shares = np.abs(left) / np.abs(left).max(axis=1, keepdims=True)
+        alone = ~((shares > _COUPLED) & ~calm[:, None]).any(axis=1)
+        fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
+        rates, gaps = fastest.max(axis=1), np.diff(t[rows])
+        grown = np.concatenate(([0.0], np.cumsum((rates[1:] + rates[:-1]) / 2 * gaps)))
+        along = int(np.count_nonzero(rows <= last))
+        begin = int(np.argmin(grown[:along]))
+        grown = grown[begin:] - grown[begin]
+        soon = 1 + int(np.argmax(grown > 1))  # places until it has grown by e
+        place = begin + int(np.argmax(rates[begin : begin + soon]))
+        growing = alone[place] & (values[place].real * (t[last] - t[rows[begin]]) > 1)
+        if not growing.any():
+            return None
+        every = np.maximum.accumulate(grown)
+        own = slopes[place], values[place, growing], left[place, :, growing]
+        return cls(int(rows[begin]), t[rows[begin:]], every, *own)
+
+    def exponents(self, rate: float) -> Vector:
+        """Return the natural logarithm of a growth of another rate at first, (m,)."""
+        share = rate / float(self.values.real.max())
+        return np.minimum(share * self.fastest, _MOST_EXPONENT)

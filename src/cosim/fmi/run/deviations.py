@@ -63,7 +63,7 @@ class Deviations:
             np.array(states).T,
             nominals_of(self._instance, len(self.names)),
             lambda times, states: np.array([*map(self._rates, times, states.T)]).T,
-            self._slopes,
+            lambda times, states: np.array([*map(self._slopes, times, states.T)]),
         )
         tolerances = self._tolerance, self._tolerance
         trough = deepest_trough(path, tolerances, self._shares)
