@@ -19,7 +19,10 @@ from cosim.arrays import Truths, Vector
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
-_PLACES, _LATER = 9, 3  # of a line, and of what follows, whose eigenvalues tell of growth
+_PLACES = 9  # of a line, whose eigenvalues tell of growth
+_MORE = 4  # times as many where the equations change along it
+_SHORTER = 4  # by which the next line is shorter that is tried
+_STEADY = 0.1  # of the largest slope: changes that need no more places
 _MOST_EXPONENT = 600.0
 _SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
@@ -189,7 +192,7 @@ def _first_lines(
             last = int(time.searchsorted(begin + length))
             yield replace(path, time=time, states=states), last, calm
         before |= calm
-        length /= 4
+        length /= _SHORTER
 
 
 def _finite(slopes: Vector) -> Truths:
@@ -285,11 +288,11 @@ def growth_along(
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """How a deviation grows along a line, and after it.
+    """How a deviation grows along a line.
 
     Attributes:
         first: Row at which it begins to grow.
-        time: Places from there to the last row, s, (m,).
+        time: Places from there to where the line may end at the latest, s, (m,).
         fastest: Natural logarithm of the growth of what grows fastest, by then, (m,).
         slopes: Derivatives of dx/dt by the states, in nominal values, (nx, nx).
         values, directions: Eigenvalues, (k,), and left eigenvectors, (k, nx), of what grows.
@@ -307,25 +310,30 @@ class _Course:
         """Return how a deviation grows; None if it does not.
 
         Args:
-            path: Its states lie on the line as far as this goes.
+            path: Its states lie on the line.
             first, last, calm: See `growth_along`.
         """
         t, sizes = path.time, path.sizes
-        wanted = np.linspace(t[first], t[last], _PLACES), np.linspace(t[last], t[-1], _LATER)
-        rows = np.unique(np.clip(t.searchsorted(np.concatenate(wanted)), first, len(t) - 1))
-        slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
-        finite = _finite(slopes)
-        if not finite[0]:
-            return None
-        rows, slopes = rows[finite], slopes[finite]
+        for more in (1, _MORE):
+            wanted = t.searchsorted(np.linspace(t[first], t[last], more * _PLACES))
+            rows = np.unique(np.clip(wanted, first, last))
+            slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
+            finite = _finite(slopes)
+            if not finite[0]:
+                return None
+            rows, slopes = rows[finite], slopes[finite]
+            if np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
+                break
         values, left = np.linalg.eig(slopes.transpose(0, 2, 1))
         shares = np.abs(left) / np.abs(left).max(axis=1, keepdims=True)
         alone = ~((shares > _COUPLED) & ~calm[:, None]).any(axis=1)
         fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
-        rates, gaps = fastest.max(axis=1), np.diff(t[rows])
-        grown = np.concatenate(([0.0], np.cumsum((rates[1:] + rates[:-1]) / 2 * gaps)))
-        along = int(np.count_nonzero(rows <= last))
-        begin = int(np.argmin(grown[:along]))
+        rates = fastest.max(axis=1)
+        rates = np.append(rates, rates[-1])  # the line may go on
+        end = min(t[last] + _SHORTER * (t[last] - t[first]), t[-1])
+        time = np.append(t[rows], max(end, t[rows[-1]]))
+        grown = np.append(0.0, np.cumsum((rates[1:] + rates[:-1]) / 2 * np.diff(time)))
+        begin = int(np.argmin(grown[:-1]))
         grown = grown[begin:] - grown[begin]
         soon = 1 + int(np.argmax(grown > 1))  # places until it has grown by e
         place = begin + int(np.argmax(rates[begin : begin + soon]))
@@ -334,7 +342,7 @@ class _Course:
             return None
         every = np.maximum.accumulate(grown)
         own = slopes[place], values[place, growing], left[place, :, growing]
-        return cls(int(rows[begin]), t[rows[begin:]], every, *own)
+        return cls(int(rows[begin]), time[begin:], every, *own)
 
     def exponents(self, rate: float) -> Vector:
         """Return the natural logarithm of a growth of another rate at first, (m,)."""
