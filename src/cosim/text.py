@@ -40,6 +40,11 @@ def one_note(*notes: str | None) -> str:
     return "; ".join(filter(None, notes))
 
 
+def with_unit(value: float, unit: str) -> str:
+    """Return a number, with its unit if it has one."""
+    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+
+
 def described(error: BaseException) -> str:
     """Return type and message of a foreign exception as one line of bounded length."""
     try:

@@ -15,6 +15,7 @@ from cosim.errors import InitialConditionError
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.values import Values
+from cosim.text import with_unit
 
 DEPENDENT = 1e-14  # ratio of the smallest and the largest singular value, for rows of length 1
 WILD = 1e10  # nominal values: for unknowns of this size, singularity is checked
@@ -48,7 +49,7 @@ def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs:
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:
             raise InitialConditionError(
-                f"{dae.full_name}: the start of {variable.name} is {value:g} {variable.unit}, "
+                f"{dae.full_name}: the start of {variable.name} is {with_unit(value, variable.unit)}, "
                 f"outside {variable.minimum:g} ... {variable.maximum:g}; change other start values"
             )
     return x

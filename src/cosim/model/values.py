@@ -22,7 +22,7 @@ from cosim.errors import (
 from cosim.memo import cached_per_thread
 from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
-from cosim.text import shortened
+from cosim.text import shortened, with_unit
 
 _SMALL = 1e-3  # smaller initial values are their own nominal values
 MOST_COUNT = 10_000_000  # of copies, runs, threads and so on
@@ -186,8 +186,9 @@ def checked(dae: Dae, variable: Variable, value: Any) -> float:
     result = number(dae.full_name, f"{variable.name} [{variable.unit}]", value)
     if not variable.minimum <= result <= variable.maximum:
         raise ParameterError(
-            f"{dae.full_name}: {variable.name} = {result:g} {variable.unit} is out of its range "
-            f"{variable.minimum:g} ... {variable.maximum:g} {variable.unit}; give a value within"
+            f"{dae.full_name}: {variable.name} = {with_unit(result, variable.unit)} is out of its "
+            f"range {variable.minimum:g} ... {with_unit(variable.maximum, variable.unit)}; give a "
+            "value within"
         )
     if variable.unit == "rad" and abs(result) > max(4 * pi, 10 * variable.nominal):
         warn(
@@ -216,7 +217,7 @@ def _no_such_start(dae: Dae, given: Mapping[str, float]) -> InitialConditionErro
     ways = [way for way in dae.start_outputs if way.variable.name in given]
     states = ", ".join(dae.states[way.state].name for way in ways)
     through = ", ".join(
-        f"{v.name} = {given[v.name]:g} {v.unit}" for v in (way.variable for way in ways)
+        f"{v.name} = {with_unit(given[v.name], v.unit)}" for v in (way.variable for way in ways)
     )
     return InitialConditionError(
         f"{dae.full_name}: no start of {states} was found that gives {through}; "
