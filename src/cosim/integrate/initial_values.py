@@ -49,8 +49,9 @@ def _start_values(dae: Dae, t: float, guesses: bytes, parameters: bytes, inputs:
     for variable, value in zip(dae.states, x, strict=True):
         if not variable.minimum <= value <= variable.maximum:
             raise InitialConditionError(
-                f"{dae.full_name}: the start of {variable.name} is {with_unit(value, variable.unit)}, "
-                f"outside {variable.minimum:g} ... {variable.maximum:g}; change other start values"
+                f"{dae.full_name}: the start of {variable.name} is "
+                f"{with_unit(value, variable.unit)}, outside {variable.minimum:g} ... "
+                f"{variable.maximum:g}; change other start values"
             )
     return x
 
