@@ -19,6 +19,8 @@ from casadi import SX, cos, sin
 from casadi_models.dae import Model
 from casadi_models.mechanics import conditions, kane, rotations
 
+_DISPLACED = 0.1  # nominal values, m, rad and per second, of what stays 0 but for errors
+
 
 @dataclass(frozen=True)
 class FreeJoint:
@@ -71,7 +73,10 @@ def free_joint(
 
     def states(names: list[str], unit: str, meaning: str) -> SX:
         """Declare states at rest; their names end with the axis."""
-        declared = (model.state(f"{body}_{n}", unit, 0.0, f"{meaning} {n[-1]}") for n in names)
+        declared = (
+            model.state(f"{body}_{n}", unit, 0.0, f"{meaning} {n[-1]}", nominal=_DISPLACED)
+            for n in names
+        )
         return ca.vertcat(*declared)
 
     shift = states(["shift_1", "shift_2", "shift_3"], "m", f"displacement of {body} along axis")

@@ -129,3 +129,10 @@ def test_command_line_of_fmpy_gives_the_right_numbers(name, options, exported, t
     for column in reference.columns:
         gap = abs(result[column.name][-1] - reference[column.name][-1])
         assert gap <= BOUND * column.nominal, column.name  # measured 5e-14 to 4e-9
+
+
+@pytest.mark.quick_share(0.3)
+@EVERY
+@INTERFACES
+def test_a_run_with_all_defaults_has_no_note(name, interface, exported):
+    assert "note" not in cosim.simulate_fmu(exported(name), interface=interface).stats

@@ -11,7 +11,7 @@ from casadi_models.units import converted, parse_unit
 from cosim.arrays import Vector
 from cosim.errors import ParameterError, naming_arguments_of
 from cosim.series.curves import Curves
-from cosim.text import MOST_LINES, Table, text_table
+from cosim.text import MOST_LINES, MOST_NAMES, Table, shortened, text_table
 
 OF_ROWS = "min and max of the rows"
 
@@ -242,8 +242,9 @@ def uncontrolled(
         return ""
     many = len(found) > 1
     return (
-        f"the error control leaves most digits of {', '.join(found)} open, since the nominal value "
-        f"of {'each' if many else 'it'} is 1; give nominal values, or a smaller absolute_tolerance"
+        f"the error control leaves most digits of {shortened(found, MOST_NAMES)} open, since the "
+        f"nominal value of {'each' if many else 'it'} is 1; give nominal values, or a smaller "
+        "absolute_tolerance"
     )
 
 
@@ -253,8 +254,8 @@ def below(columns: Sequence[Column], values: Vector, accuracy: float) -> str:
     if not found:
         return ""
     return (
-        f"the accuracy is more than all values of {', '.join(found)}, with the nominal value 1; "
-        "give nominal values"
+        f"the accuracy is more than all values of {shortened(found, MOST_NAMES)}, with the nominal "
+        "value 1; give nominal values"
     )
 
 
