@@ -47,13 +47,12 @@ NOT_FINITE = [float("nan"), float("inf"), -float("inf"), np.float64("nan"), 10**
     ids=["simulate", "start_vectors", "integrator", "reduce", "requested", "export_fmu"],
 )
 def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
-    takes_names = call is cosim.simulate or call is cosim.requested
-    if takes_names and isinstance(wrong, str):
+    if isinstance(wrong, str):
         assert "no model 'decay'" in refusal(UnknownName, lambda: call(wrong))  # it takes names
         return
     told = refusal(UsageError, lambda: call(wrong))
     assert type(wrong).__name__ in told
-    assert told.endswith("give a Dae, as cosim.load('bicycle') returns")
+    assert told.endswith("a Dae, as cosim.load('bicycle') returns")
 
 
 @pytest.mark.parametrize("wrong", NO_RUN, ids=short)

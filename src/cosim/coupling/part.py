@@ -18,8 +18,8 @@ from cosim.fmi.run.description import by_name, read_description, unit_of
 from cosim.fmi.run.request import holds_value, is_settable
 from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS
 from cosim.fmi.units import Measured, change_of_units, is_relative, units_for
-from cosim.integrate.keywords import named
 from cosim.memo import cached_per_thread
+from cosim.model.catalogue import model_of
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def part_of(name: str, subject: object, folder: Path = Path()) -> Part:
         return Part(name, path, _of_fmu(path))
     if isinstance(subject, str):
         place, colon, function = subject.rpartition(".py:")
-        subject = named(f"{folder / place}.py:{function}" if colon else subject)
+        subject = model_of("part", f"{folder / place}.py:{function}" if colon else subject)
     if not isinstance(subject, Dae):
         raise UsageError.of_type(f"part '{name}'", subject, "a model, its name, or an FMU file")
     return Part(name, subject, _of_model(subject))

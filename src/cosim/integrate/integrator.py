@@ -41,6 +41,7 @@ from cosim.integrate.preparation import compilation_of
 from cosim.integrate.solvers import chosen_solver, engine_of, requested_solver
 from cosim.integrate.validity import times_between
 from cosim.memo import cached_per_thread
+from cosim.model.catalogue import model_of
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import checked_grid
@@ -322,7 +323,7 @@ def _hybrid_function(
 
 
 def integrator(
-    dae: Dae,
+    dae: Dae | str,
     grid: ArrayLike,
     *,
     solver: str | Solver | None = None,
@@ -335,7 +336,7 @@ def integrator(
     """Return a function in CasADi's integrator API, to embed, map or differentiate.
 
     Args:
-        dae: The model.
+        dae: The model, or its name.
         grid: Increasing output times, s, (n,); the first is the start of the run.
         solver, relative_tolerance, absolute_tolerance: See `simulate`.
         compiled: Whether the equations are compiled; small models are when None.
@@ -366,6 +367,7 @@ def integrator(
         >>> run(**cosim.start_vectors(dae))["xf"].shape
         (2, 3)
     """
+    dae = model_of("integrator", dae)
     times = checked_grid(grid)
     requested = requested_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
     has_events = hybrid(dae) is not None
@@ -431,7 +433,9 @@ def _bare_function(
     return ca.Function("integrator", [x0, z0, p, u], columns, names, ["xf", "zf"], options)
 
 
-def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> dict[str, Vector]:
+def start_vectors(
+    dae: Dae | str, start_values: Mapping[str, float] | None = None
+) -> dict[str, Vector]:
     """Return consistent arguments `x0`, `z0`, `p`, `u` of an `integrator`, SI units.
 
     Raises:
@@ -442,6 +446,7 @@ def start_vectors(dae: Dae, start_values: Mapping[str, float] | None = None) -> 
         >>> start_vectors(cosim.load("crank_shaft"), {"omega": 10.0})["x0"]
         array([ 0., 10.])
     """
+    dae = model_of("start_vectors", dae)
     values = assign(dae, start_values)
     x0, z0 = consistent_values(dae, 0.0, values)
     return {"x0": x0, "z0": z0, "p": values.p, "u": values.u}

@@ -11,14 +11,13 @@ from casadi_models.dae import Dae
 from cosim.errors import UsageError, naming_arguments
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.solvers import requested_solver
-from cosim.memo import cached_per_thread
-from cosim.model.catalogue import load
+from cosim.model.catalogue import model_of
 from cosim.model.driving import driven
 from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest
 from cosim.model.solver import LIMITS, Goal, Solver, Tolerance
 from cosim.model.times import Times
-from cosim.model.values import A_DAE, assign
+from cosim.model.values import assign
 
 
 class SpanKeywords(TypedDict, total=False):
@@ -90,7 +89,7 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         2.0
     """
     given: dict[str, Any] = {k: v for k, v in keywords.items() if v is not None}
-    request = subject if isinstance(subject, RunRequest) else RunRequest(_model(subject))
+    request = subject if isinstance(subject, RunRequest) else RunRequest(model_of("a run", subject))
     times = _times(request.times, {name: given[name] for name in _TIMES if name in given})
     settled = driven(
         request.dae, given.get("inputs", request.inputs), lambda: times.grid(request.dae)
@@ -120,26 +119,6 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
     if isinstance(found.solver, Goal) and found.policy.drift_control is not None:
         raise _overruled(next(name for name in _GOAL if name in given), "drift_control")
     return found
-
-
-def _model(subject: object) -> Dae:
-    if isinstance(subject, str):
-        return named(subject)
-    if not isinstance(subject, Dae):
-        raise UsageError.of_type("a run", subject, A_DAE)
-    return subject
-
-
-_of_the_catalogue = cached_per_thread(16)(load)
-
-
-def named(name: str) -> Dae:
-    """Return the model of a name; a model of the catalogue is built once.
-
-    Raises:
-        CosimError: See `load`.
-    """
-    return load(name) if ".py:" in name else _of_the_catalogue(name)
 
 
 def _times(times: Times, given: dict[str, Any]) -> Times:

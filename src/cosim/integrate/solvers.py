@@ -17,7 +17,6 @@ from cosim.memo import cached_per_thread
 from cosim.model.request import RunRequest
 from cosim.model.solver import LIMITS, AdaptiveSolver, Goal, Solver, Tolerance
 from cosim.model.times import reject_rounded
-from cosim.model.values import A_DAE
 
 SOLVERS: dict[str, type[Solver]] = {
     solver.name: solver
@@ -72,7 +71,6 @@ def requested_solver(
         UsageError: The solver does not have one of these numbers.
         ParameterError: A number is out of its range.
     """
-    UsageError.reject("a solver", dae, Dae, A_DAE)
     numbers = relative_tolerance, absolute_tolerance, max_step, step_size
     named = zip((*LIMITS, "step_size"), numbers, strict=True)
     given = {name: value for name, value in named if value is not None}

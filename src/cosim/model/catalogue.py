@@ -20,6 +20,7 @@ import casadi_models
 from casadi_models import CATALOG
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.files import is_file
+from cosim.memo import cached_per_thread
 from cosim.text import Table, described
 
 if TYPE_CHECKING:
@@ -139,6 +140,25 @@ def load(name: str) -> Dae:
         return casadi_models.load(name)
     except KeyError:
         raise _unknown_model(name) from None
+
+
+_A_MODEL = "a model's name, or a Dae, as cosim.load('bicycle') returns"
+_of_the_catalogue = cached_per_thread(16)(load)
+
+
+def model_of(caller: str, model: Dae | str) -> Dae:
+    """Return a model, also by its name; one of the catalogue is built once.
+
+    Raises:
+        UsageError: It is neither; or see `load`.
+        UnknownName: See `load`.
+    """
+    from casadi_models.dae import Dae
+
+    if isinstance(model, str):
+        return load(model) if ".py:" in model else _of_the_catalogue(model)
+    UsageError.reject(caller, model, Dae, _A_MODEL)
+    return model
 
 
 def _saved_function(path: str) -> Dae:

@@ -12,8 +12,8 @@ from casadi_models.dae import Dae, Invariant, Variable
 from casadi_models.dae.events import Event
 from casadi_models.dae.expressions import column, symbols
 from cosim.errors import UnknownName, UsageError
-from cosim.model.catalogue import no_such_output, observable
-from cosim.model.values import A_DAE, listed
+from cosim.model.catalogue import model_of, no_such_output, observable
+from cosim.model.values import listed
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def checked_outputs(dae: Dae, outputs: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) -> Dae:
+def reduce(dae: Dae | str, outputs: Sequence[str], *, freeze: Collection[str] = ()) -> Dae:
     """Return the smallest DAE that computes the requested outputs.
 
     The passes: select the requested outputs; keep the states they depend on, through derivatives,
@@ -160,7 +160,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
     left without influence; make frozen parameters numbers.
 
     Args:
-        dae: The full model.
+        dae: The full model, or its name.
         outputs: Names of states, algebraic unknowns or outputs.
         freeze: Parameters that become constants, with their start values.
 
@@ -177,7 +177,7 @@ def reduce(dae: Dae, outputs: Sequence[str], *, freeze: Collection[str] = ()) ->
         >>> len(small.states), small.observed
         (6, ('phi', 'delta'))
     """
-    UsageError.reject("reduce", dae, Dae, A_DAE)
+    dae = model_of("reduce", dae)
     if isinstance(freeze, str) or not isinstance(freeze, Collection):
         raise UsageError.of_type(f"{dae.full_name}: freeze", freeze, "a list of parameters")
     outputs = checked_outputs(dae, outputs)

@@ -27,7 +27,6 @@ from cosim.text import shortened, with_unit
 _SMALL = 1e-3  # smaller initial values are their own nominal values
 MOST_COUNT = 10_000_000  # of copies, runs, threads and so on
 MOST_SEED = 2**63 - 1
-A_DAE = "a Dae, as cosim.load('bicycle') returns"
 
 
 @dataclass(frozen=True)
@@ -120,9 +119,8 @@ def assign(dae: Dae, overrides: Mapping[str, float] | None = None) -> Values:
         UnknownName: A name is no state, parameter or input of the model.
         ParameterError: A number is not finite or out of its bounds, or an inertia is not physical.
         InitialConditionError: A start value is given that follows from others.
-        UsageError: This is no model, or these are no values by name.
+        UsageError: These are no values by name.
     """
-    UsageError.reject("a run", dae, Dae, A_DAE)
     UsageError.reject(dae.full_name, overrides, Mapping | None, "values by name, e.g. {'phi': 0.1}")
     usual, place = usual_numbers(dae)
     numbers, given = usual.copy(), dict(overrides or {})

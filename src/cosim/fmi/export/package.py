@@ -24,16 +24,18 @@ from cosim.fmi.export.options import FmuKeywords, FmuOptions
 from cosim.fmi.export.plan import Plan, planned
 from cosim.fmi.platforms import targets
 from cosim.fmi.trust import remember
-from cosim.model.values import A_DAE
+from cosim.model.catalogue import model_of
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file in the archive: same input, same bytes
 
 
-def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuKeywords]) -> Path:
+def export_fmu(
+    dae: Dae | str, target: str | os.PathLike[str], **keywords: Unpack[FmuKeywords]
+) -> Path:
     """Write a DAE as an FMU for model exchange and co-simulation.
 
     Args:
-        dae: The model.
+        dae: The model, or its name.
         target: The file, replaced when everything has succeeded.
 
     Keyword Args:
@@ -79,7 +81,7 @@ def export_fmu(dae: Dae, target: str | os.PathLike[str], **keywords: Unpack[FmuK
         >>> export_fmu(cosim.load("crank_shaft"), "crank.fmu", fmi=3).name
         'crank.fmu'
     """
-    UsageError.reject("export_fmu", dae, Dae, A_DAE)
+    dae = model_of("export_fmu", dae)
     UsageError.reject("export_fmu", target, str | os.PathLike, "a file name")
     options = FmuOptions(**keywords)
     path = Path(target)
