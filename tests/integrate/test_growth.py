@@ -224,6 +224,24 @@ def test_growth_that_begins_within_a_run_is_followed(interval, stiffness, right,
     assert run["x"][-1] == pytest.approx(right, abs=1e-4)  # before: 3.25, 0.7
 
 
+@pytest.mark.parametrize("period", [0.1, 1.0])
+@pytest.mark.parametrize("runner", ["cvodes", "fmpy"])
+def test_growth_over_samples_is_followed(runner, period, tmp_path):
+    model = cosim.Model("pendulum", stop_time=30.0, output_interval=0.1)
+    x, v = model.state("x", "rad", 0.0, "angle"), model.state("v", "rad/s", 0.0, "speed")
+    count = model.discrete("count", "1", 0, "samples")
+    model.derivative(x, v)
+    model.derivative(v, RATE * ca.sin(x) - 0.05 * v + PUSH)
+    model.every(period, {count: count + 1})
+    if runner == "cvodes":
+        run = cosim.simulate(model.freeze(), solver=runner)
+    else:
+        path = cosim.export_fmu(model.freeze(), tmp_path / "pendulum.fmu")
+        run = cosim.simulate_fmu(path, interface="ModelExchange")
+    assert abs(run["x"][-1] - FALLEN) < 1e-4  # before: with fmpy 3.57, -1e-14
+    assert "so that it is followed" in run.stats["note"]
+
+
 @pytest.mark.parametrize(
     "dae",
     [lambda: late_pendulum(0.1, lambda t: 4 * ca.exp(-t) - 1), "disk_two_bars/multipliers"],

@@ -37,7 +37,7 @@ class Growth(NamedTuple):
         time: When it begins at the latest, s.
         growth_time: In which it grows by the factor e at first, s.
         size: Its size at the beginning, in nominal values.
-        until: When it has nominal size, or the run ends, s.
+        until: When it has nominal size, s.
         rounding: Whether it is but rounding, which no tolerance makes smaller.
     """
 
@@ -281,8 +281,9 @@ def growth_along(
             state = path.names[int(np.argmax(np.abs(direction)))]
             begin = float(t[rows[rising[0]]])
             grown = exponents - np.interp(begin, course.time, exponents)
-            until = float(np.interp(-np.log(size), grown, course.time))
-            found.append(Growth(state, begin, 1 / float(value.real), size, until, only))
+            wanted = -np.log(size)
+            until = np.interp(wanted, grown, course.time) + max(wanted - grown[-1], 0) / value.real
+            found.append(Growth(state, begin, 1 / float(value.real), size, float(until), only))
     return min(found, key=lambda growth: (growth.rounding, growth.size), default=None)
 
 

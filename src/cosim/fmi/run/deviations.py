@@ -1,7 +1,8 @@
 """`Deviations`: the motion of an FMU between events, searched for growth that no step follows."""
 
+from collections.abc import Callable, Sequence
 from ctypes import c_double
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,11 +13,21 @@ from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_g
 from cosim.model.troughs import Trough, deepest_trough
 
 _MOST_ROWS = 20_000  # of which every second one is dropped
+_PLACES = 36  # of a run, between events, at which its equations are looked at
 _STEP = float(np.cbrt(np.finfo(float).eps))  # of a central difference, in sizes of its state
 
 
+class _Place(NamedTuple):
+    """Where the equations were looked at: time, s, states, their rates, and the slopes of these."""
+
+    time: float
+    states: Vector
+    rates: Vector
+    slopes: Vector
+
+
 class Deviations:
-    """The states of an FMU for model exchange since its last event.
+    """The states of an FMU for model exchange, in which deviations may grow that no step follows.
 
     Args:
         instance: fmpy's, in continuous-time mode.
@@ -25,7 +36,7 @@ class Deviations:
 
     Attributes:
         names: Of the states.
-        rows: Times, s, and states, in their order.
+        rows: Times, s, and states, in their order, since the last event.
         found: A state that grows from few digits, or the smallest deviation that grows unseen, or
             that stays suppressed in a run that follows it; None if there is none.
     """
@@ -33,12 +44,16 @@ class Deviations:
     def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
         self._instance, self._clock = instance, clock
         self.names = _state_names(request.description)
-        self._tolerance = request.relative_tolerance
+        self._tolerances = request.relative_tolerance, request.relative_tolerance
         self._follows = request.closer is not None
         own = request.closer.shares if request.closer else 1.0
         self._shares = np.ones(len(self.names)) * (own if np.ndim(own) else 1.0)
+        self._distance = (request.stop - request.start) / _PLACES
         self.found: Growth | Trough | None = None
         self.rows: list[tuple[float, Vector]] = []
+        self._places: list[_Place] = []
+        self._every: list[tuple[float, Vector]] = []  # rows of the run
+        self._steps = 0
 
     def note(self, time: float) -> None:
         """Note the present states."""
@@ -47,36 +62,80 @@ class Deviations:
         if len(self.rows) > _MOST_ROWS:
             del self.rows[1:-1:2]
 
-    def judge(self, steps: int) -> None:
-        """Look back over the motion since the last event, and begin anew.
+    def pass_event(self, steps: int) -> None:
+        """Look back over the motion since the last event, before the next one.
 
         Args:
-            steps: Number of the solver's steps.
+            steps: Number of the solver's steps since then.
         """
-        rows, self.rows = self.rows, []
-        if len(rows) < 2:
+        path = self._piece(steps)
+        if path is not None:
+            self._remember(path)
+            self._rates(path.time[-1], path.states[:, -1])
+
+    def judge(self, steps: int) -> None:
+        """Look back over the whole motion at its end; see `pass_event`."""
+        path = self._piece(steps)
+        if self._places:
+            if path is not None:
+                self._remember(path)
+            path = self._linearized()
+        if path is None or isinstance(self.found, Trough):
             return
-        times, states = zip(*rows, strict=True)
-        path = StatePath(
-            self.names,
-            np.array(times),
-            np.array(states).T,
-            nominals_of(self._instance, len(self.names)),
-            lambda times, states: np.array([*map(self._rates, times, states.T)]).T,
-            lambda times, states: np.array([*map(self._slopes, times, states.T)]),
-        )
-        tolerances = self._tolerance, self._tolerance
-        trough = deepest_trough(path, tolerances, self._shares)
-        if trough and not isinstance(self.found, Trough):
-            self.found = trough
-        found = None if trough else suppressed_growth(path, steps, *tolerances)
-        if self._follows and found and not stays_suppressed(path, steps, *tolerances):
-            found = None
-        self._rates(*rows[-1])
-        if isinstance(self.found, Trough):
-            return
-        if found and (self.found is None or found.size < self.found.size):
+        found = suppressed_growth(path, self._steps, *self._tolerances)
+        if not self._follows or stays_suppressed(path, self._steps, *self._tolerances):
             self.found = found
+        self._rates(path.time[-1], path.states[:, -1])
+
+    def _piece(self, steps: int) -> StatePath | None:
+        """Return the motion since the last event, of which troughs are judged."""
+        rows, self.rows = self.rows, []
+        self._steps += steps
+        if len(rows) < 2:
+            return None
+        path = self._path(
+            rows,
+            lambda times, x: np.array([*map(self._rates, times, x.T)]).T,
+            lambda times, x: np.array([*map(self._slopes, times, x.T)]),
+        )
+        if not isinstance(self.found, Trough):
+            self.found = deepest_trough(path, self._tolerances, self._shares)
+        return path
+
+    def _remember(self, path: StatePath) -> None:
+        """Look at the equations of a piece, which the next event may change."""
+        self._every[-1:] = zip(path.time.tolist(), path.states.T, strict=True)
+        if len(self._every) > _MOST_ROWS:
+            del self._every[1:-1:2]
+        times = np.arange(path.time[0], path.time[-1], self._distance)
+        states = np.array([np.interp(times, path.time, row) for row in path.states])
+        facts = times, states.T, path.rates(times, states).T, path.slopes(times, states)
+        self._places += map(_Place, *facts)
+
+    def _linearized(self) -> StatePath:
+        """Return the motion over all events, with linear equations at the places remembered."""
+        begins = np.array([place.time for place in self._places])
+
+        def at(times: Vector) -> list[_Place]:
+            return [self._places[i] for i in begins.searchsorted(times, "right") - 1]
+
+        def rates(times: Vector, states: Vector) -> Vector:
+            pairs = zip(at(times), states.T, strict=True)
+            return np.array([p.rates + p.slopes @ (x - p.states) for p, x in pairs]).T
+
+        return self._path(
+            self._every, rates, lambda times, _: np.array([p.slopes for p in at(times)])
+        )
+
+    def _path(
+        self,
+        rows: Sequence[tuple[float, Vector]],
+        rates: Callable[[Vector, Vector], Vector],
+        slopes: Callable[[Vector, Vector], Vector],
+    ) -> StatePath:
+        times, states = zip(*rows, strict=True)
+        sizes = nominals_of(self._instance, len(self.names))
+        return StatePath(self.names, np.array(times), np.array(states).T, sizes, rates, slopes)
 
     def _block(self, getter: Any) -> Vector:
         values = (c_double * len(self.names))()

@@ -134,7 +134,7 @@ def _model_exchange(
                 happens |= step_event
             deviations.note(time)
             if happens and not ends:
-                deviations.judge(solver.steps)
+                deviations.pass_event(solver.steps)
                 ends, next_event = _pass_event(instance, clock, solver, time)
                 deviations.note(time)
             if ends and not one_time(time, request.stop, start):
