@@ -1,5 +1,7 @@
 """Initial values, algebraic unknowns, and the projection of states onto constraints."""
 
+from collections.abc import Sequence
+from math import log
 from typing import Any
 
 import casadi as ca
@@ -7,11 +9,13 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from casadi_models.dae.expressions import linear_solution
+from casadi_models.dae.relations import term_sizes
 from cosim.codegen.functions import CALL, Laws, symbols_like
 from cosim.memo import cached_per_thread
 
 KNOWN = ["t", "x", "u", "p"]
-DEFECT_LIMIT = 1e-9  # largest remaining Newton step, relative to 1 + |unknown|
+_BASE = 1024.0
+DEFECT_LIMIT = 1e-9  # largest remaining Newton step, relative to its size + |unknown|
 
 
 @cached_per_thread(16)
@@ -74,7 +78,9 @@ def _algebraic(dae: Dae, residual: SX, p: SX) -> ca.Function:
         linear = ca.Function("linear_alg", known, [matrix, -offset], {"cse": True})
         solution = linear_solution(*linear(t, x, u, given))
     else:  # its limit is one of the residual in the author's units
-        root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, given])
+        nominal = ca.DM([variable.nominal for variable in dae.algebraics])
+        sizes = nominal, ca.DM(ca.jacobian_sparsity(dae.alg, dae.z), 1) @ nominal
+        root, left = _newton_root("algebraic", dae.z, dae.alg, known, [z, t, x, u, given], sizes)
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, given], [solution], CALL, ["z_solved"])
 
@@ -101,19 +107,67 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, arguments: list[MX]) -> tu
     expression = ca.substitute(rule.expression, dae.x, filled)
     _, x, _, _ = arguments
     guess = ca.vertcat(*(x[i] for i in rule.states))
-    return _newton_root(name, unknown, expression, knowns(dae), guess, arguments)
+    return _newton_root(name, unknown, expression, knowns(dae), [guess, *arguments])
 
 
 def _newton_root(
-    name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
+    name: str,
+    unknown: SX,
+    expression: SX,
+    known: list[SX],
+    arguments: list[MX],
+    sizes: Sequence[MX | ca.DM] = (),
 ) -> tuple[MX, MX]:
-    """Return the root of an expression, and the relative size of the last Newton step."""
-    residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
-    slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
+    """Return the root of an expression, and the relative size of the last Newton step.
+
+    Args:
+        name: Of the functions.
+        unknown: Its symbols, (n, 1).
+        expression: Of these and the known symbols, (n, 1).
+        known: Other symbols of it.
+        arguments: The initial guess, and values of the known symbols.
+        sizes: Of the unknowns and of the rows of the expression, as far as they are below 1; by
+            the initial guess and Newton's first step when empty.
+    """
+    every = [unknown, *known]
+    residual = ca.Function(name, every, [expression], {"cse": True})
+    slope = ca.Function(f"{name}_slope", every, [ca.jacobian(expression, unknown)])
+    if not sizes:
+        terms = ca.Function(f"{name}_terms", every, [term_sizes(expression)], {"cse": True})
+        sizes = _first_sizes(f"{name}_sizes", [residual, slope, terms], arguments)
+    size, row = map(_small, sizes)
+    symbols = [SX.sym(part, unknown.numel()) for part in ("share", "size", "row")]
+    scaled = residual(symbols[0] * symbols[1], *known) / symbols[2]
+    law = ca.Function(f"{name}_law", [symbols[0], *known, *symbols[1:]], [scaled], {"cse": True})
     options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
-    root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
-    step = linear_solution(slope(root, *arguments), residual(root, *arguments))
-    return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))
+    find = ca.rootfinder(f"{name}_root", "fast_newton", law, options)
+    root = size * find(arguments[0] / size, *arguments[1:], size, row)
+    step = linear_solution(slope(root, *arguments[1:]), residual(root, *arguments[1:]))
+    least = ca.fmax(size, 1 / _BASE)  # rounding of larger quantities may leave 1e-16
+    return root - step, ca.norm_inf(step / (least + ca.fabs(root)))
+
+
+def _first_sizes(name: str, laws: Sequence[ca.Function], arguments: Sequence[MX]) -> list[MX]:
+    """Return the sizes of unknowns and rows by an initial guess and Newton's first step.
+
+    Args:
+        name: Of the function.
+        laws: The rows, their slopes, and the sizes of the terms that make them.
+        arguments: The initial guess, and values of the known symbols.
+    """
+    guess, *known = symbols = [MX.sym("argument", each.sparsity()) for each in arguments]
+    rows, slopes, terms = (law(guess, *known) for law in laws)
+    step = ca.fabs(linear_solution(slopes, rows))
+    reached = ca.fmax(ca.fabs(guess), ca.if_else(step < ca.inf, step, 0))
+    constant: dict[str, Any] = {"is_diff_in": len(arguments) * [False], "never_inline": True}
+    found: list[MX] = ca.Function(name, symbols, [reached, terms], constant).call([*arguments])
+    return found
+
+
+def _small(size: MX | ca.DM) -> MX | ca.DM:
+    """Return powers of 1024, which cost no digits, about sizes below 1; 1 for others."""
+    power = _BASE ** -ca.floor(-ca.log(ca.fmax(size, 1e-100)) / log(_BASE))
+    return ca.if_else(size > 0, ca.fmin(power, 1), 1)
 
 
 def projection_step(dae: Dae, constants: int) -> ca.Function:
