@@ -112,3 +112,20 @@ def test_elements_of_arrays_are_connectors_and_values(tmp_path):
     assert final["a.y[1]"] == pytest.approx(2.0, rel=1e-12)
     assert final["b.u[2]"] == final["a.y[1]"]
     assert final["a.y[2]"] == final["b.y[1]"] == 0.0
+
+
+def test_parts_whose_names_differ_in_case_or_are_no_file_names_have_files_of_their_own(
+    fmu, tmp_path
+):
+    names = "A", "a", "a#b", "a b", "50%"
+    path = cosim.write_ssp(tmp_path / "odd.ssp", dict.fromkeys(names, fmu), [])
+    with zipfile.ZipFile(path) as archive:
+        files = sorted(archive.namelist())
+    assert files[1:] == [f"resources/{n}.fmu" for n in ("50_", "A", "a_", "a_b", "a_b_")]
+    assert len(cosim.read_ssp(path).parts) == len(names)  # before: an entry occurs twice
+
+
+@pytest.mark.parametrize("value", [float("nan"), "fast", None])
+def test_values_that_are_none_of_the_variable_are_refused(fmu, tmp_path, value):
+    with pytest.raises(ParameterError, match="write_ssp: rate = "):
+        cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], values={"a.rate": value})

@@ -1,6 +1,7 @@
 """Writing of SSP 1.0 files: system description, parameter sets (.ssv) and FMUs."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from cosim.fmi.archive import DESCRIPTION, SYSTEM_DESCRIPTION, flat_names, unpac
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import unit_of
-from cosim.fmi.run.typed_values import RANGES, REALS, start_number
+from cosim.fmi.run.typed_values import RANGES, REALS, start_number, typed_value
 from cosim.fmi.units import definitions
 from cosim.model.values import number
 from cosim.trajectory import shortest
@@ -140,7 +141,11 @@ def write_ssp(
     described = {name: _described(path) for name, (path, _) in pairs.items()}
     defined = _defined_units(description for description, _ in described.values())
     ends = [_ends(described, pair) for pair in connections]
-    given = {_side(described, key, None): value for key, value in (values or {}).items()}
+    given = dict[tuple[str, str], Any]()
+    for key, value in (values or {}).items():
+        component, entry = _side(described, key, None)
+        variable = described[component][1][entry]
+        given[component, entry] = typed_value("write_ssp", variable, value)
     for key in open_inputs:
         component, entry = _side(described, key, "input")
         given.setdefault((component, entry), start_number(described[component][1][entry]))
@@ -148,16 +153,17 @@ def write_ssp(
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
     name, files = name or Path(target).stem, dict[str, bytes]()
+    places = _file_names(described)
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given.items() if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
-        element = _component(component, description, units, pairs[component][1])
+        element = _component(component, places[component], description, units, pairs[component][1])
         if own:
             chosen = parameter_set("initialValues", own, variables, defined)
-            file = f"resources/{component}.ssv" if parameter_files else ""
+            file = f"resources/{places[component]}.ssv" if parameter_files else ""
             if file:
                 files[file] = to_file(chosen)
             element.append(_binding(chosen, file))
@@ -170,7 +176,7 @@ def write_ssp(
         span = {"startTime": shortest(start_time)}
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
-    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, (path, _) in pairs.items()}
+    fmus = {f"resources/{places[c]}.fmu": Path(one).read_bytes() for c, (one, _) in pairs.items()}
     return write_atomically(target, zipped({SYSTEM_DESCRIPTION: to_file(root), **files, **fmus}))
 
 
@@ -231,10 +237,22 @@ def _binding(chosen: ET.Element, file: str) -> ET.Element:
     return bindings
 
 
+def _file_names(components: Iterable[str]) -> dict[str, str]:
+    """Return names of files by component: plain, and apart on every system, as A and a."""
+    found, taken = dict[str, str](), set[str]()
+    for component in components:
+        name = re.sub(r"[^\w.-]", "_", component, flags=re.ASCII)
+        while name.lower() in taken:
+            name += "_"
+        taken.add(name.lower())
+        found[component] = name
+    return found
+
+
 def _component(
-    name: str, description: Any, units: Mapping[str, str | None], interface: str
+    name: str, file: str, description: Any, units: Mapping[str, str | None], interface: str
 ) -> ET.Element:
-    facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
+    facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{file}.fmu"}
     if interface != "any":
         facts["implementation"] = interface
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
@@ -251,7 +269,7 @@ def _component(
 
 
 def _ends(described: Mapping[str, Any], pair: Any) -> tuple[tuple[str, str], tuple[str, str]]:
-    if isinstance(pair, str) or [*map(type, pair)] != [str, str]:
+    if not isinstance(pair, list | tuple) or [*map(type, pair)] != [str, str]:
         raise UsageError.of_type("write_ssp: connections", pair, "pairs of texts, (OUTPUT, INPUT)")
     source, sink = pair
     return _side(described, source, "output"), _side(described, sink, "input")
