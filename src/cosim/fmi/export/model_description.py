@@ -1,5 +1,6 @@
 """modelDescription.xml and buildDescription.xml of FMI 2.0 and 3.0."""
 
+import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from math import inf, isfinite
@@ -7,6 +8,7 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Start
 from casadi_models.units import UNITS, conversion
+from cosim.errors import ExportError
 from cosim.fmi.archive import TOOL
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
@@ -172,8 +174,22 @@ def _scaled(factor: float, offset: float, *, always: bool = False) -> dict[str, 
     return facts | ({"offset": shortest(offset)} if offset else {})
 
 
+_NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # of XML
+
+
 def to_bytes(root: ET.Element) -> bytes:
-    """Return an XML file's content, indented."""
+    """Return an XML file's content, indented.
+
+    Raises:
+        ExportError: A text has a character that XML cannot hold.
+    """
+    for element in root.iter():
+        for name, text in element.attrib.items():
+            if found := _NO_CHARACTER.search(text):
+                raise ExportError(
+                    f"{name} of {element.tag} has the character {found[0]!a}, which XML "
+                    "cannot hold; leave it out"
+                )
     ET.indent(root)
     content: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return content + b"\n"
