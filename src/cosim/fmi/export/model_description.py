@@ -14,7 +14,7 @@ from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
 from cosim.fmi.export.options import ABOUT
 from cosim.fmi.export.plan import Plan
-from cosim.fmi.export.variables import FmuVariable, Role, units_of_rates
+from cosim.fmi.export.variables import VALID, FmuVariable, Role, units_of_rates
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
@@ -297,7 +297,7 @@ def model_structure(
     outputs = _references(variables, Role.OUTPUT)
     margins = outputs[len(outputs) - indicators :]
     observed = [i for i, v in enumerate(variables) if v.observed]
-    running, initial = _needs(variables, depends, dialect, margins)
+    running, initial = _needs(variables, depends, dialect)
     sections = (
         (observed, running),
         (_references(variables, Role.DERIVATIVE), running),
@@ -329,10 +329,7 @@ def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
 
 
 def _needs(
-    variables: Sequence[FmuVariable],
-    depends: Dependencies,
-    dialect: Dialect,
-    margins: Sequence[int],
+    variables: Sequence[FmuVariable], depends: Dependencies, dialect: Dialect
 ) -> tuple[Needs, Needs]:
     """Return the dependencies during a run and at its start."""
     states = _references(variables, Role.STATE)
@@ -354,6 +351,8 @@ def _needs(
         running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
     running |= {i: (i,) for i in states}
     initial = _lists([*states, *computed], depends.initial, knowns)
+    outputs = [(i, variables[i]) for i in _references(variables, Role.OUTPUT)]
+    margins = [i for i, v in outputs if (v.alias or v.name).startswith(f"{VALID}_margin_")]
     for needs in (running, initial):
         whole = tuple(sorted({k for margin in margins for k in needs[margin]}))
         needs |= dict.fromkeys(_references(variables, Role.VALIDITY), whole)
