@@ -106,8 +106,11 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, arguments: list[MX]) -> tu
         filled[row] = unknown[i]
     expression = ca.substitute(rule.expression, dae.x, filled)
     _, x, _, _ = arguments
-    guess = ca.vertcat(*(x[i] for i in rule.states))
-    return _newton_root(name, unknown, expression, knowns(dae), [guess, *arguments])
+    constant: dict[str, Any] = {"is_diff_in": 5 * [False], "never_inline": True}
+    terms = [ca.fabs(unknown), term_sizes(expression)]
+    given = [ca.vertcat(*(x[i] for i in rule.states)), *arguments]
+    sizes = ca.Function(f"{name}_sizes", [unknown, *knowns(dae)], terms, constant).call(given)
+    return _newton_root(name, unknown, expression, knowns(dae), given, sizes)
 
 
 def _newton_root(
@@ -116,58 +119,29 @@ def _newton_root(
     expression: SX,
     known: list[SX],
     arguments: list[MX],
-    sizes: Sequence[MX | ca.DM] = (),
+    sizes: Sequence[MX | ca.DM],
 ) -> tuple[MX, MX]:
     """Return the root of an expression, and the relative size of the last Newton step.
 
-    Args:
-        name: Of the functions.
-        unknown: Its symbols, (n, 1).
-        expression: Of these and the known symbols, (n, 1).
-        known: Other symbols of it.
-        arguments: The initial guess, and values of the known symbols.
-        sizes: Of the unknowns and of the rows of the expression, as far as they are below 1; by
-            the initial guess and Newton's first step when empty.
+    The arguments are an initial guess and the known values. The sizes of unknowns and of rows count
+    where they are small: then, not 1 but powers of 1024 about them are what steps are compared to.
     """
-    every = [unknown, *known]
-    residual = ca.Function(name, every, [expression], {"cse": True})
-    slope = ca.Function(f"{name}_slope", every, [ca.jacobian(expression, unknown)])
-    if not sizes:
-        terms = ca.Function(f"{name}_terms", every, [term_sizes(expression)], {"cse": True})
-        sizes = _first_sizes(f"{name}_sizes", [residual, slope, terms], arguments)
-    size, row = map(_small, sizes)
-    symbols = [SX.sym(part, unknown.numel()) for part in ("share", "size", "row")]
-    scaled = residual(symbols[0] * symbols[1], *known) / symbols[2]
-    law = ca.Function(f"{name}_law", [symbols[0], *known, *symbols[1:]], [scaled], {"cse": True})
+    size, row = (
+        ca.if_else(each > 0, ca.fmin(_BASE ** -ca.floor(-ca.log(each) / log(_BASE)), 1), 1)
+        for each in sizes
+    )
+    guess, *given = arguments
+    residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
+    slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
+    share, *scales = (SX.sym(part, unknown.numel()) for part in ("share", "size", "row"))
+    scaled = residual(share * scales[0], *known) / scales[1]
+    law = ca.Function(f"{name}_law", [share, *known, *scales], [scaled], {"cse": True})
     options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
     find = ca.rootfinder(f"{name}_root", "fast_newton", law, options)
-    root = size * find(arguments[0] / size, *arguments[1:], size, row)
-    step = linear_solution(slope(root, *arguments[1:]), residual(root, *arguments[1:]))
-    least = ca.fmax(size, 1 / _BASE)  # rounding of larger quantities may leave 1e-16
+    root = size * find(guess / size, *given, size, row)
+    step = linear_solution(slope(root, *given), residual(root, *given))
+    least = ca.fmax(ca.fmax(size, 1 / _BASE), ca.mmax(row))  # rounding of large terms is no step
     return root - step, ca.norm_inf(step / (least + ca.fabs(root)))
-
-
-def _first_sizes(name: str, laws: Sequence[ca.Function], arguments: Sequence[MX]) -> list[MX]:
-    """Return the sizes of unknowns and rows by an initial guess and Newton's first step.
-
-    Args:
-        name: Of the function.
-        laws: The rows, their slopes, and the sizes of the terms that make them.
-        arguments: The initial guess, and values of the known symbols.
-    """
-    guess, *known = symbols = [MX.sym("argument", each.sparsity()) for each in arguments]
-    rows, slopes, terms = (law(guess, *known) for law in laws)
-    step = ca.fabs(linear_solution(slopes, rows))
-    reached = ca.fmax(ca.fabs(guess), ca.if_else(step < ca.inf, step, 0))
-    constant: dict[str, Any] = {"is_diff_in": len(arguments) * [False], "never_inline": True}
-    found: list[MX] = ca.Function(name, symbols, [reached, terms], constant).call([*arguments])
-    return found
-
-
-def _small(size: MX | ca.DM) -> MX | ca.DM:
-    """Return powers of 1024, which cost no digits, about sizes below 1; 1 for others."""
-    power = _BASE ** -ca.floor(-ca.log(ca.fmax(size, 1e-100)) / log(_BASE))
-    return ca.if_else(size > 0, ca.fmin(power, 1), 1)
 
 
 def projection_step(dae: Dae, constants: int) -> ca.Function:

@@ -10,7 +10,6 @@ import numpy as np
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, Model
-from casadi_models.dae.expressions import operations
 from casadi_models.dae.relations import term_sizes
 from casadi_models.units import known as known_unit
 from cosim.arrays import Vector
@@ -55,39 +54,28 @@ def _consistent_start(
     names, x = [*starts], np.array([*starts.values()], dtype=float)
     slope = constraints.factory("slope", constraints.name_in(), ["jac:I:x"])
     free = [i for i in range(x.size) if i not in given]
-
-    def rows_and_limits() -> tuple[Vector, Vector]:
-        """Return the constraints, and what is small beside their terms if all states are large."""
-        rows, sizes = constraints(x, p)[0], constraints(np.abs(x) + np.abs(x).max(), p)[1]
-        return np.asarray(rows).ravel(), START_TOLERANCE * np.asarray(sizes).ravel()
-
+    terms = np.asarray(constraints(np.abs(x) + np.abs(x).max(), p)[1]).ravel()
+    terms[terms == 0] = 1.0
+    powers = 1024.0 ** np.trunc(np.log(terms) / np.log(1024))  # 1 for rows of usual size
     for _ in range(NEWTON_STEPS):
-        residual, limits = rows_and_limits()
-        if (np.abs(residual) <= np.fmin(limits, START_TOLERANCE * (1 + np.abs(x).max()))).all():
+        residual = np.asarray(constraints(x, p)[0]).ravel()
+        if (np.abs(residual) <= START_TOLERANCE * np.fmin(terms, 1 + np.abs(x).max())).all():
             break
         matrix = np.asarray(ca.DM(slope(x, p)))[:, free]
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
             break
-        sizes = _row_sizes(matrix)
-        x[free] -= np.linalg.lstsq(matrix / sizes[:, None], residual / sizes, rcond=1e-12)[0]
-    residual, limits = rows_and_limits()
-    wrong = ~(np.abs(residual) <= 1e3 * limits)
-    if wrong.any():
-        worst = int(np.argmax(wrong))
+        x[free] -= np.linalg.lstsq(matrix / powers[:, None], residual / powers, rcond=1e-12)[0]
+    residual = np.asarray(constraints(x, p)[0]).ravel()
+    worst = int(np.argmax(np.nan_to_num(np.abs(residual) / terms, nan=np.inf)))
+    if not abs(residual[worst]) <= 1e3 * START_TOLERANCE * terms[worst]:
         fixed = ", ".join(names[i] for i in sorted(given)) or "none"
         raise InitialConditionError(
             f"{who}: constraint {worst + 1} of I is {residual[worst]:.3g} at the start and cannot "
             f"vanish with the given starts ({fixed}); give consistent ones, or fewer"
         )
-    matrix = np.asarray(ca.DM(slope(x, p)))
-    rows, states = _pivots(matrix / _row_sizes(matrix)[:, None], free, sorted(given))
+    slopes = np.asarray(ca.DM(slope(x, p))) / powers[:, None]
+    rows, states = _pivots(slopes, free, sorted(given))
     return ConsistentStart(x, rows, states)
-
-
-def _row_sizes(matrix: Vector) -> Vector:
-    """Return powers of 1024 about the largest entries of rows, (m,): 1 for usual ones."""
-    top = np.abs(matrix).max(axis=1, initial=0.0)
-    return np.asarray(1024.0 ** np.trunc(np.log(np.where(top > 0, top, 1.0)) / np.log(1024)))
 
 
 def _pivots(matrix: Vector, *groups: Sequence[int]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -389,11 +377,8 @@ def _consistent(
         raise UsageError(f"{who}: I depends on z; only time, x, u and p may stand there")
     u = ca.DM([*starts["u"].values()])
     law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
-    terms = SX.ones(law.numel()) * (1 + ca.norm_inf(values["x"]))
-    if ca.OP_CALL not in operations(law):
-        terms = term_sizes(law)
-    arguments = [values["x"], values["p"]]
-    constraints = ca.Function("I", arguments, [law, terms], ["x", "p"], ["I", "terms"])
+    results = [law, term_sizes(law)]
+    constraints = ca.Function("I", [values["x"], values["p"]], results, ["x", "p"], ["I", "terms"])
     given = {
         [*starts["x"]].index(entry)
         for symbol in system.symbols["x"]
