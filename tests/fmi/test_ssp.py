@@ -1,6 +1,7 @@
 """SSP files: valid by schema, with units, read by FMPy; values inside or in files of their own."""
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -11,7 +12,9 @@ from helpers.typed_part import typed_part
 from lxml import etree
 
 import cosim
+from casadi_models.dae import Model
 from cosim.errors import ParameterError
+from cosim.fmi.export.package import zipped
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
@@ -129,3 +132,33 @@ def test_parts_whose_names_differ_in_case_or_are_no_file_names_have_files_of_the
 def test_values_that_are_none_of_the_variable_are_refused(fmu, tmp_path, value):
     with pytest.raises(ParameterError, match="write_ssp: rate = "):
         cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], values={"a.rate": value})
+
+
+def test_open_inputs_keep_their_start_values_of_every_type(tmp_path):
+    inputs = (("Int64", "n", "9007199254740993"), ("Float64", "u", "0.1"), ("Boolean", "b", "true"))
+    rows = [f'<{k} name="{n}" causality="input" start="{v}"/>' for k, n, v in inputs]
+    rows.append('<String name="s" causality="input"><Start value="none"/></String>')
+    rows = [row.replace(" name", f' valueReference="{i}" name', 1) for i, row in enumerate(rows)]
+    description = f"""<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t">
+    <CoSimulation modelIdentifier="m"/><ModelVariables>{"".join(rows)}</ModelVariables>
+    <ModelStructure/></fmiModelDescription>"""
+    fmu = tmp_path / "m.fmu"
+    fmu.write_bytes(zipped({"modelDescription.xml": description.encode()}))
+    every = [f"a.{name}" for name in "nubs"]
+    path = cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], open_inputs=every)
+    with zipfile.ZipFile(path) as archive:
+        root = valid(archive.read("SystemStructure.ssd"), "SystemStructureDescription.xsd")
+    written = [p[0].get("value") for p in root.iter(f"{SSV}Parameter")]
+    assert written == ["9007199254740993", "0.1", "true", "none"]  # before: ...992 and 0.0
+
+
+def test_systems_without_connections_or_connectors_are_valid(tmp_path):
+    model = Model("alone")
+    model.output("y", "1", model.t, "time")
+    rows = [model.freeze(), replace(model.freeze(), observed=())]
+    for i, dae in enumerate(rows):
+        fmu = cosim.export_fmu(dae, tmp_path / f"{i}.fmu", derivatives=False)
+        path = cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [])
+        with zipfile.ZipFile(path) as archive:
+            valid(archive.read("SystemStructure.ssd"), "SystemStructureDescription.xsd")
+        assert len(cosim.read_ssp(path).parts) == 1

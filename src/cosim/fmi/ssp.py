@@ -14,7 +14,7 @@ from cosim.fmi.archive import DESCRIPTION, SYSTEM_DESCRIPTION, flat_names, unpac
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import unit_of
-from cosim.fmi.run.typed_values import RANGES, REALS, start_number, typed_value
+from cosim.fmi.run.typed_values import RANGES, REALS, start_value, typed_value
 from cosim.fmi.units import definitions
 from cosim.model.values import number
 from cosim.trajectory import shortest
@@ -148,7 +148,7 @@ def write_ssp(
         given[component, entry] = typed_value("write_ssp", variable, value)
     for key in open_inputs:
         component, entry = _side(described, key, "input")
-        given.setdefault((component, entry), start_number(described[component][1][entry]))
+        given.setdefault((component, entry), start_value(described[component][1][entry]))
     changes = {
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
@@ -168,8 +168,9 @@ def write_ssp(
                 files[file] = to_file(chosen)
             element.append(_binding(chosen, file))
         elements.append(element)
-    joints = ET.SubElement(system, f"{{{SSD}}}Connections")
-    joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
+    if ends:
+        joints = ET.SubElement(system, f"{{{SSD}}}Connections")
+        joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
     if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
         root.append(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
@@ -256,7 +257,7 @@ def _component(
     if interface != "any":
         facts["implementation"] = interface
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
-    connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
+    connectors = ET.Element(f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
         whole = variable.dimensions  # which SSP 1.0 has not, its elements are variables
         if variable.causality in ("input", "output", "parameter") and not whole:
@@ -265,6 +266,7 @@ def _component(
             unit, kind = units[variable.name], _kind(variable)
             if kind != "Enumeration":  # whose type the FMU describes
                 ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
+    component.extend([connectors] if len(connectors) else [])  # the schema has no empty list
     return component
 
 
