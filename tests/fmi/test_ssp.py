@@ -137,6 +137,7 @@ def test_values_that_are_none_of_the_variable_are_refused(fmu, tmp_path, value):
 def test_open_inputs_keep_their_start_values_of_every_type(tmp_path):
     inputs = (("Int64", "n", "9007199254740993"), ("Float64", "u", "0.1"), ("Boolean", "b", "true"))
     rows = [f'<{k} name="{n}" causality="input" start="{v}"/>' for k, n, v in inputs]
+    rows[1] = rows[1].replace(" name", ' unit="bar" name')  # that the file does not define
     rows.append('<String name="s" causality="input"><Start value="none"/></String>')
     rows = [row.replace(" name", f' valueReference="{i}" name', 1) for i, row in enumerate(rows)]
     description = f"""<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t">
@@ -150,6 +151,8 @@ def test_open_inputs_keep_their_start_values_of_every_type(tmp_path):
         root = valid(archive.read("SystemStructure.ssd"), "SystemStructureDescription.xsd")
     written = [p[0].get("value") for p in root.iter(f"{SSV}Parameter")]
     assert written == ["9007199254740993", "0.1", "true", "none"]  # before: ...992 and 0.0
+    (bar,) = root.find(f"{SSD}Units")
+    assert bar.find(f"{SSC}BaseUnit").get("factor") == "100000"
 
 
 def test_systems_without_connections_or_connectors_are_valid(tmp_path):

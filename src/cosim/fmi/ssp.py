@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import Unit
+from casadi_models.units import Unit, parse_unit
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, SYSTEM_DESCRIPTION, flat_names, unpacked
@@ -50,11 +50,9 @@ def parameter_set(
         elif kind == "Enumeration":
             items = known[variable].declaredType.items
             text = next(item.name for item in items if int(item.value) == value)
-        elif kind == "Integer":
-            text = str(int(value))
         ET.SubElement(entry, f"{{{SSV}}}{kind}", {"value": text} | measured)
     if used:
-        root.append(unit_list(f"{{{SSV}}}Units", used.values(), defined))
+        root.extend(unit_list(f"{{{SSV}}}Units", used.values(), defined))
     return root
 
 
@@ -65,17 +63,22 @@ def _kind(variable: Any) -> str:
     return "Real" if variable.type in REALS else str(variable.type)
 
 
-def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> ET.Element:
-    """Return the definitions of units, without repetition."""
+def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> list[ET.Element]:
+    """Return the element with the definitions of units, without repetition; [] if it is empty.
+
+    A name without a definition has its usual meaning.
+    """
     element = ET.Element(tag)
-    for name in sorted(set(names) & set(defined)):
-        unit = defined[name]
+    for name in sorted(set(names)):
+        unit = defined.get(name) or parse_unit(name)
+        if unit is None:
+            continue
         base = {symbol: str(exponent) for symbol, exponent in unit.base}
         factor = {} if unit.factor == 1 else {"factor": shortest(unit.factor)}
         factor |= {"offset": shortest(unit.offset)} if unit.offset else {}
         entry = ET.SubElement(element, f"{{{SSC}}}Unit", name=name)
         ET.SubElement(entry, f"{{{SSC}}}BaseUnit", base | factor)
-    return element
+    return [element] if len(element) else []
 
 
 def to_file(root: ET.Element) -> bytes:
@@ -172,7 +175,7 @@ def write_ssp(
         joints = ET.SubElement(system, f"{{{SSD}}}Connections")
         joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
     if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
-        root.append(unit_list(f"{{{SSD}}}Units", used, defined))
+        root.extend(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
         span = {"startTime": shortest(start_time)}
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
