@@ -124,7 +124,8 @@ def write_ssp(
     Raises:
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
-        ParameterError: A time is not finite, or the stop time is not after the start time.
+        ParameterError: A time is not finite, the stop time is not after the start time, or a
+            variable does not have a value.
         FmuError, ExportError: A file cannot be read or written.
 
     Example:
