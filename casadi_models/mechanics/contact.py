@@ -14,7 +14,8 @@ from casadi_models.dae import Model
 
 __all__ = ["friction", "friction_in_plane", "impact"]
 
-_CLOSING = 1e-12  # m/s; a gap that closes faster does so by motion, not by rounding of an impact
+# of the speeds' nominal values; a gap that closes faster does so not by rounding of an impact
+_CLOSING = 1e-12
 _MOST_CONTACTS = 6  # of one impact, whose sets of pushing contacts are tried one by one
 _NEVER_ZERO = 1e-100  # m/s or N; below every velocity and force, and its square is not zero
 _BACKWARD = 1e-3  # of the slow speed; at this speed backward, sliding has ended
@@ -41,7 +42,8 @@ def impact(
     Args:
         model: The model.
         condition: When the contacts close, e.g. `height < 0`.
-        speeds: The generalized speeds u, states of the model, (n, 1).
+        speeds: The generalized speeds u, states of the model, (n, 1); contacts that close slower
+            than 1e-12 of the largest nominal value are at rest.
         mass: Their mass matrix M, (n, n).
         directions: W, the derivatives of the gap speeds by u, one column per contact, (n, k).
         restitution: e, 0 to 1; a number, a parameter, which gets these bounds, or an expression,
@@ -70,7 +72,8 @@ def impact(
         )
     along = ca.solve(m, w)
     impulses = _pushing(w.T @ along, (1 + e) * (w.T @ speeds)) + wrong
-    closes = ca.logic_and(condition, ca.mmin(w.T @ speeds) < -_CLOSING)
+    least = _CLOSING * max(variable.nominal for variable in model.declared(speeds))
+    closes = ca.logic_and(condition, ca.mmin(w.T @ speeds) < -least)
     model.when(closes, _values(speeds, speeds + along @ impulses), name=name)
 
 

@@ -15,6 +15,7 @@ from casadi import DM, SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.expressions import column
+from casadi_models.dae.relations import term_sizes
 from casadi_models.mechanics import conditions, kane
 from casadi_models.mechanics.slopes import determined, first_repeating, in_sizes_of_units
 
@@ -358,17 +359,19 @@ def _dependent(
     full = ca.Function(
         "slope", [parts.q], [parts.model.numbers(ca.jacobian(parts.g, parts.q), but=parts.q)]
     )
-    law = ca.Function("law", [parts.q], [at_start])
+    terms = ca.fmin(term_sizes(at_start[:m, :]), 1)
+    law = ca.Function("law", [parts.q], [at_start, terms])
     place = DM([variable.start or 0.0 for variable in parts.model.declared(parts.q)])
     for _ in range(STEPS):  # the nearest closed position
-        residual = law(place)[:m]
-        if float(ca.norm_inf(residual)) < 1e-12:
+        rows, sizes = law(place)
+        residual = rows[:m]
+        if all((ca.fabs(residual) < 1e-12 * sizes).elements()):
             break
         slope = ca.densify(full(place))  # its rows may repeat each other
         damped = slope @ slope.T + DAMPING * ca.sumsqr(slope) * DM.eye(m)
         place -= slope.T @ ca.solve(damped + DM.eye(m) * (ca.sumsqr(slope) == 0), residual)
     units = [parts.model.declared(parts.q)[i].unit for i in chosen]
-    slopes = in_sizes_of_units(ca.reshape(law(place)[m:], m, n), units)
+    slopes = in_sizes_of_units(ca.reshape(law(place)[0][m:], m, n), units)
     found, left = determined(slopes)
     if left:
         name = _rows(loops)[first_repeating(slopes, left[0])]

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from casadi import SX
 
 import cosim
 from casadi_models.dae import Model
@@ -53,6 +54,38 @@ def test_closed_loop_is_the_closed_form(angle):
     place = x + np.sqrt(25 - y**2)
     np.testing.assert_allclose(found[:2], [angle, place], rtol=4e-16)  # measured 1.2e-16
     np.testing.assert_allclose(found[2], -y - x * y / (place - x), rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.parametrize("length", [1e-12, 1e-9, 1e-6, 1e-3, 1.0, 1e6])
+@pytest.mark.parametrize("factor", [1e-15, 1.0, 1e15])
+def test_loops_of_any_size_close(length, factor):
+    model = Model("circle")
+    x = model.state("x", "m", 0.6 * length, "x")
+    y = model.state("y", "m", 0.9 * length, "y")
+    model.derivative(ca.vertcat(x, y), SX(2, 1))
+    model.start_equation(y, factor * (x**2 + y**2 - length**2), "the circle")
+    found = starts(model.freeze())
+    # before: 0.6 % at nanometers, and no solution at micrometers
+    np.testing.assert_allclose(found[1], 0.8 * length, rtol=4e-16)  # measured 1.4e-16
+
+
+def test_tiny_loop_that_cannot_close_is_refused():
+    model = Model("gap")
+    y = model.state("y", "m", 0.9e-9, "y")
+    model.derivative(y, 0)
+    model.start_equation(y, y**2 + 1e-18, "the gap")
+    with pytest.raises(InitialConditionError, match="no start value of y satisfies the gap"):
+        starts(model.freeze())
+
+
+@pytest.mark.parametrize("size", [1e-15, 1e-12, 1e-9, 1.0])
+def test_unknowns_of_small_nominal_values_are_solved_for(size):
+    model = Model("cube")
+    z = model.algebraic("z", "1", 1.7 * size, "z", nominal=size)
+    model.equation((z**3 - 8 * size**3) / size**2)
+    found = algebraic_function(model.freeze())(0, [], 1.7 * size, [], [])
+    # before: 3 % at 1e-15
+    np.testing.assert_allclose(float(found), 2 * size, rtol=1e-14)  # measured 2e-16
 
 
 def test_start_values_that_are_given_stay_as_they_are():

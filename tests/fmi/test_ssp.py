@@ -1,6 +1,7 @@
 """SSP files: valid by schema, with units, read by FMPy; values inside or in files of their own."""
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -11,7 +12,9 @@ from helpers.typed_part import typed_part
 from lxml import etree
 
 import cosim
+from casadi_models.dae import Model
 from cosim.errors import ParameterError
+from cosim.fmi.export.package import zipped
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
@@ -112,3 +115,53 @@ def test_elements_of_arrays_are_connectors_and_values(tmp_path):
     assert final["a.y[1]"] == pytest.approx(2.0, rel=1e-12)
     assert final["b.u[2]"] == final["a.y[1]"]
     assert final["a.y[2]"] == final["b.y[1]"] == 0.0
+
+
+def test_parts_whose_names_differ_in_case_or_are_no_file_names_have_files_of_their_own(
+    fmu, tmp_path
+):
+    names = "A", "a", "a#b", "a b", "50%"
+    path = cosim.write_ssp(tmp_path / "odd.ssp", dict.fromkeys(names, fmu), [])
+    with zipfile.ZipFile(path) as archive:
+        files = sorted(archive.namelist())
+    assert files[1:] == [f"resources/{n}.fmu" for n in ("50_", "A", "a_", "a_b", "a_b_")]
+    assert len(cosim.read_ssp(path).parts) == len(names)  # before: an entry occurs twice
+
+
+@pytest.mark.parametrize("value", [float("nan"), "fast", None])
+def test_values_that_are_none_of_the_variable_are_refused(fmu, tmp_path, value):
+    with pytest.raises(ParameterError, match="write_ssp: rate = "):
+        cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], values={"a.rate": value})
+
+
+def test_open_inputs_keep_their_start_values_of_every_type(tmp_path):
+    inputs = (("Int64", "n", "9007199254740993"), ("Float64", "u", "0.1"), ("Boolean", "b", "true"))
+    rows = [f'<{k} name="{n}" causality="input" start="{v}"/>' for k, n, v in inputs]
+    rows[1] = rows[1].replace(" name", ' unit="bar" name')  # that the file does not define
+    rows.append('<String name="s" causality="input"><Start value="none"/></String>')
+    rows = [row.replace(" name", f' valueReference="{i}" name', 1) for i, row in enumerate(rows)]
+    description = f"""<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t">
+    <CoSimulation modelIdentifier="m"/><ModelVariables>{"".join(rows)}</ModelVariables>
+    <ModelStructure/></fmiModelDescription>"""
+    fmu = tmp_path / "m.fmu"
+    fmu.write_bytes(zipped({"modelDescription.xml": description.encode()}))
+    every = [f"a.{name}" for name in "nubs"]
+    path = cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], open_inputs=every)
+    with zipfile.ZipFile(path) as archive:
+        root = valid(archive.read("SystemStructure.ssd"), "SystemStructureDescription.xsd")
+    written = [p[0].get("value") for p in root.iter(f"{SSV}Parameter")]
+    assert written == ["9007199254740993", "0.1", "true", "none"]  # before: ...992 and 0.0
+    (bar,) = root.find(f"{SSD}Units")
+    assert bar.find(f"{SSC}BaseUnit").get("factor") == "100000"
+
+
+def test_systems_without_connections_or_connectors_are_valid(tmp_path):
+    model = Model("alone")
+    model.output("y", "1", model.t, "time")
+    rows = [model.freeze(), replace(model.freeze(), observed=())]
+    for i, dae in enumerate(rows):
+        fmu = cosim.export_fmu(dae, tmp_path / f"{i}.fmu", derivatives=False)
+        path = cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [])
+        with zipfile.ZipFile(path) as archive:
+            valid(archive.read("SystemStructure.ssd"), "SystemStructureDescription.xsd")
+        assert len(cosim.read_ssp(path).parts) == 1

@@ -5,6 +5,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from casadi import SX
 
 import cosim
 from casadi_models.dae import Model
@@ -56,6 +57,20 @@ def test_inelastic_impact_of_two_carts_conserves_momentum():
     before, after = ([e["v0"], e["v1"]] for e in (event.before, event.after))
     assert np.dot([1, 3], before) == pytest.approx(np.dot([1, 3], after), rel=1e-14)
     assert after[1] - after[0] == pytest.approx(-0.5 * (before[1] - before[0]), rel=1e-13)
+
+
+@pytest.mark.parametrize("size", [1e-20, 1e-13, 1.0, 1e13])
+def test_balls_of_any_size_bounce_if_their_nominal_values_are_given(size):
+    model = Model("ball", stop_time=1.0, output_interval=0.01)
+    h = model.state("h", "m", size, "height", nominal=size)
+    v = model.state("v", "m/s", 0.0, "speed", nominal=size)
+    model.derivative(h, v)
+    model.derivative(v, -9.81 * size)
+    impact(model, h < 0, v, 1.0, SX(1), 0.7)
+    run = cosim.simulate(model.freeze())
+    (event,) = run.events  # before: none below 1e-12
+    assert event.time == pytest.approx(np.sqrt(2 / 9.81), rel=1e-7)
+    assert run["h"].min() > 0
 
 
 @pytest.mark.slow

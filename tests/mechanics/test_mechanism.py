@@ -57,6 +57,21 @@ def runs():
     return {form: cosim.simulate(four_bar(form), **options) for form in ("ode", "multipliers")}
 
 
+def test_bars_of_any_length_close_before_their_constraints_are_judged():
+    found = []
+    for length in (1.0, 1e-13):
+        model = Model("bars")
+        angles = [model.state(f"q{i}", "rad", q, f"angle {i}") for i, q in enumerate((1.0, 0.1, 1))]
+        q, u = ca.vertcat(*angles), SX.sym("u", 3)
+        ends = [length * own * ca.vertcat(cos(q[i]), sin(q[i])) for i, own in enumerate(LENGTHS)]
+        loop = {"loop": ends[0] + ends[1] - ends[2] - ca.vertcat(2 * length, 0)}
+        mechanism(model, q, u, [kane.InertialTerm(u[i], u[i]) for i in range(3)], (), loop)
+        dae = model.freeze().watching(["constraint_condition"])
+        condition = ca.Function("condition", dae.arguments, [dae.constraint_condition])
+        found.append(float(condition(0, [1.0, 0.3, 1.2, 0, 0, 0], 0, [], [])))
+    assert found[1] == pytest.approx(found[0], rel=1e-12)  # before: 5e-3 apart
+
+
 def test_both_forms_keep_the_energy_and_close_the_loop(runs):
     for run in runs.values():
         assert np.abs(run["energy"] - run["energy"][0]).max() < 1e-6

@@ -1,5 +1,7 @@
 """Initial values, algebraic unknowns, and the projection of states onto constraints."""
 
+from collections.abc import Sequence
+from math import log
 from typing import Any
 
 import casadi as ca
@@ -7,11 +9,13 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from casadi_models.dae.expressions import linear_solution
+from casadi_models.dae.relations import term_sizes
 from cosim.codegen.functions import CALL, Laws, symbols_like
 from cosim.memo import cached_per_thread
 
 KNOWN = ["t", "x", "u", "p"]
-DEFECT_LIMIT = 1e-9  # largest remaining Newton step, relative to 1 + |unknown|
+_BASE = 1024.0
+DEFECT_LIMIT = 1e-9  # largest remaining Newton step, relative to its size + |unknown|
 
 
 @cached_per_thread(16)
@@ -74,7 +78,9 @@ def _algebraic(dae: Dae, residual: SX, p: SX) -> ca.Function:
         linear = ca.Function("linear_alg", known, [matrix, -offset], {"cse": True})
         solution = linear_solution(*linear(t, x, u, given))
     else:  # its limit is one of the residual in the author's units
-        root, left = _newton_root("algebraic", dae.z, dae.alg, known, z, [t, x, u, given])
+        nominal = ca.DM([variable.nominal for variable in dae.algebraics])
+        sizes = nominal, ca.DM(ca.jacobian_sparsity(dae.alg, dae.z), 1) @ nominal
+        root, left = _newton_root("algebraic", dae.z, dae.alg, known, [z, t, x, u, given], sizes)
         solution = ca.if_else(left < DEFECT_LIMIT, root, ca.DM.nan(dae.z.numel()))
     return ca.Function("model_algebraic", [t, x, z, u, given], [solution], CALL, ["z_solved"])
 
@@ -100,20 +106,42 @@ def _solve_rule(dae: Dae, rule: StartRule, name: str, arguments: list[MX]) -> tu
         filled[row] = unknown[i]
     expression = ca.substitute(rule.expression, dae.x, filled)
     _, x, _, _ = arguments
-    guess = ca.vertcat(*(x[i] for i in rule.states))
-    return _newton_root(name, unknown, expression, knowns(dae), guess, arguments)
+    constant: dict[str, Any] = {"is_diff_in": 5 * [False], "never_inline": True}
+    terms = [ca.fabs(unknown), term_sizes(expression)]
+    given = [ca.vertcat(*(x[i] for i in rule.states)), *arguments]
+    sizes = ca.Function(f"{name}_sizes", [unknown, *knowns(dae)], terms, constant).call(given)
+    return _newton_root(name, unknown, expression, knowns(dae), given, sizes)
 
 
 def _newton_root(
-    name: str, unknown: SX, expression: SX, known: list[SX], guess: MX, arguments: list[MX]
+    name: str,
+    unknown: SX,
+    expression: SX,
+    known: list[SX],
+    arguments: list[MX],
+    sizes: Sequence[MX | ca.DM],
 ) -> tuple[MX, MX]:
-    """Return the root of an expression, and the relative size of the last Newton step."""
+    """Return the root of an expression, and the relative size of the last Newton step.
+
+    The arguments are an initial guess and the known values. The sizes of unknowns and of rows count
+    where they are small: then, not 1 but powers of 1024 about them are what steps are compared to.
+    """
+    size, row = (
+        ca.if_else(each > 0, ca.fmin(_BASE ** -ca.floor(-ca.log(each) / log(_BASE)), 1), 1)
+        for each in sizes
+    )
+    guess, *given = arguments
     residual = ca.Function(name, [unknown, *known], [expression], {"cse": True})
     slope = ca.Function(f"{name}_slope", [unknown, *known], [ca.jacobian(expression, unknown)])
+    share, *scales = (SX.sym(part, unknown.numel()) for part in ("share", "size", "row"))
+    scaled = residual(share * scales[0], *known) / scales[1]
+    law = ca.Function(f"{name}_law", [share, *known, *scales], [scaled], {"cse": True})
     options: dict[str, Any] = {"error_on_fail": False, "max_iter": 50, "abstol": 1e-13}
-    root = ca.rootfinder(f"{name}_root", "fast_newton", residual, options)(guess, *arguments)
-    step = linear_solution(slope(root, *arguments), residual(root, *arguments))
-    return root - step, ca.norm_inf(step / (1 + ca.fabs(root)))
+    find = ca.rootfinder(f"{name}_root", "fast_newton", law, options)
+    root = size * find(guess / size, *given, size, row)
+    step = linear_solution(slope(root, *given), residual(root, *given))
+    least = ca.fmax(ca.fmax(size, 1 / _BASE), ca.mmax(row))  # rounding of large terms is no step
+    return root - step, ca.norm_inf(step / (least + ca.fabs(root)))
 
 
 def projection_step(dae: Dae, constants: int) -> ca.Function:

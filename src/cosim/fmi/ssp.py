@@ -1,19 +1,20 @@
 """Writing of SSP 1.0 files: system description, parameter sets (.ssv) and FMUs."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from casadi_models.units import Unit
+from casadi_models.units import Unit, parse_unit
 from cosim.errors import FmuError, ParameterError, UnknownName, UsageError
 from cosim.files import write_atomically
 from cosim.fmi.archive import DESCRIPTION, SYSTEM_DESCRIPTION, flat_names, unpacked
 from cosim.fmi.export.package import zipped
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import unit_of
-from cosim.fmi.run.typed_values import RANGES, REALS, start_number
+from cosim.fmi.run.typed_values import RANGES, REALS, start_value, typed_value
 from cosim.fmi.units import definitions
 from cosim.model.values import number
 from cosim.trajectory import shortest
@@ -49,11 +50,9 @@ def parameter_set(
         elif kind == "Enumeration":
             items = known[variable].declaredType.items
             text = next(item.name for item in items if int(item.value) == value)
-        elif kind == "Integer":
-            text = str(int(value))
         ET.SubElement(entry, f"{{{SSV}}}{kind}", {"value": text} | measured)
     if used:
-        root.append(unit_list(f"{{{SSV}}}Units", used.values(), defined))
+        root.extend(unit_list(f"{{{SSV}}}Units", used.values(), defined))
     return root
 
 
@@ -64,17 +63,22 @@ def _kind(variable: Any) -> str:
     return "Real" if variable.type in REALS else str(variable.type)
 
 
-def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> ET.Element:
-    """Return the definitions of units, without repetition."""
+def unit_list(tag: str, names: Iterable[str], defined: Mapping[str, Unit]) -> list[ET.Element]:
+    """Return the element with the definitions of units, without repetition; [] if it is empty.
+
+    A name without a definition has its usual meaning.
+    """
     element = ET.Element(tag)
-    for name in sorted(set(names) & set(defined)):
-        unit = defined[name]
+    for name in sorted(set(names)):
+        unit = defined.get(name) or parse_unit(name)
+        if unit is None:
+            continue
         base = {symbol: str(exponent) for symbol, exponent in unit.base}
         factor = {} if unit.factor == 1 else {"factor": shortest(unit.factor)}
         factor |= {"offset": shortest(unit.offset)} if unit.offset else {}
         entry = ET.SubElement(element, f"{{{SSC}}}Unit", name=name)
         ET.SubElement(entry, f"{{{SSC}}}BaseUnit", base | factor)
-    return element
+    return [element] if len(element) else []
 
 
 def to_file(root: ET.Element) -> bytes:
@@ -120,7 +124,8 @@ def write_ssp(
     Raises:
         UnknownName: A component or a variable does not exist.
         UsageError: A connection does not lead from an output to an input.
-        ParameterError: A time is not finite, or the stop time is not after the start time.
+        ParameterError: A time is not finite, the stop time is not after the start time, or a
+            variable does not have a value.
         FmuError, ExportError: A file cannot be read or written.
 
     Example:
@@ -140,37 +145,43 @@ def write_ssp(
     described = {name: _described(path) for name, (path, _) in pairs.items()}
     defined = _defined_units(description for description, _ in described.values())
     ends = [_ends(described, pair) for pair in connections]
-    given = {_side(described, key, None): value for key, value in (values or {}).items()}
+    given = dict[tuple[str, str], Any]()
+    for key, value in (values or {}).items():
+        component, entry = _side(described, key, None)
+        variable = described[component][1][entry]
+        given[component, entry] = typed_value("write_ssp", variable, value)
     for key in open_inputs:
         component, entry = _side(described, key, "input")
-        given.setdefault((component, entry), start_number(described[component][1][entry]))
+        given.setdefault((component, entry), start_value(described[component][1][entry]))
     changes = {
         _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
     }
     name, files = name or Path(target).stem, dict[str, bytes]()
+    places = _file_names(described)
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for component, (description, variables) in described.items():
         own = {entry: value for (owner, entry), value in given.items() if owner == component}
         units = {v.name: unit_of(v) for v in description.modelVariables}
-        element = _component(component, description, units, pairs[component][1])
+        element = _component(component, places[component], description, units, pairs[component][1])
         if own:
             chosen = parameter_set("initialValues", own, variables, defined)
-            file = f"resources/{component}.ssv" if parameter_files else ""
+            file = f"resources/{places[component]}.ssv" if parameter_files else ""
             if file:
                 files[file] = to_file(chosen)
             element.append(_binding(chosen, file))
         elements.append(element)
-    joints = ET.SubElement(system, f"{{{SSD}}}Connections")
-    joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
+    if ends:
+        joints = ET.SubElement(system, f"{{{SSD}}}Connections")
+        joints.extend(_connection(source, sink, changes.get(sink)) for source, sink in ends)
     if used := {unit_of(v) or "" for d, _ in described.values() for v in d.modelVariables} - {""}:
-        root.append(unit_list(f"{{{SSD}}}Units", used, defined))
+        root.extend(unit_list(f"{{{SSD}}}Units", used, defined))
     if stop_time is not None or start_time:
         span = {"startTime": shortest(start_time)}
         span |= {} if stop_time is None else {"stopTime": shortest(stop_time)}
         ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", span)
-    fmus = {f"resources/{c}.fmu": Path(path).read_bytes() for c, (path, _) in pairs.items()}
+    fmus = {f"resources/{places[c]}.fmu": Path(one).read_bytes() for c, (one, _) in pairs.items()}
     return write_atomically(target, zipped({SYSTEM_DESCRIPTION: to_file(root), **files, **fmus}))
 
 
@@ -231,14 +242,26 @@ def _binding(chosen: ET.Element, file: str) -> ET.Element:
     return bindings
 
 
+def _file_names(components: Iterable[str]) -> dict[str, str]:
+    """Return names of files by component: plain, and apart on every system, as A and a."""
+    found, taken = dict[str, str](), set[str]()
+    for component in components:
+        name = re.sub(r"[^\w.-]", "_", component, flags=re.ASCII)
+        while name.lower() in taken:
+            name += "_"
+        taken.add(name.lower())
+        found[component] = name
+    return found
+
+
 def _component(
-    name: str, description: Any, units: Mapping[str, str | None], interface: str
+    name: str, file: str, description: Any, units: Mapping[str, str | None], interface: str
 ) -> ET.Element:
-    facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{name}.fmu"}
+    facts = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{file}.fmu"}
     if interface != "any":
         facts["implementation"] = interface
     component = ET.Element(f"{{{SSD}}}Component", {"name": name, **facts})
-    connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
+    connectors = ET.Element(f"{{{SSD}}}Connectors")
     for variable in description.modelVariables:
         whole = variable.dimensions  # which SSP 1.0 has not, its elements are variables
         if variable.causality in ("input", "output", "parameter") and not whole:
@@ -247,11 +270,12 @@ def _component(
             unit, kind = units[variable.name], _kind(variable)
             if kind != "Enumeration":  # whose type the FMU describes
                 ET.SubElement(connector, f"{{{SSC}}}{kind}", {"unit": unit} if unit else {})
+    component.extend([connectors] if len(connectors) else [])  # the schema has no empty list
     return component
 
 
 def _ends(described: Mapping[str, Any], pair: Any) -> tuple[tuple[str, str], tuple[str, str]]:
-    if isinstance(pair, str) or [*map(type, pair)] != [str, str]:
+    if not isinstance(pair, list | tuple) or [*map(type, pair)] != [str, str]:
         raise UsageError.of_type("write_ssp: connections", pair, "pairs of texts, (OUTPUT, INPUT)")
     source, sink = pair
     return _side(described, source, "output"), _side(described, sink, "input")

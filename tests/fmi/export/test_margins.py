@@ -4,6 +4,7 @@ import zipfile
 from math import asin, pi
 from xml.etree import ElementTree as ET
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from helpers.small_models import decay
 import cosim
 from casadi_models.dae import Dae, Model
 from cosim.errors import UsageError
+from cosim.fmi.check.parsed import parse
+from cosim.fmi.export.options import FmuOptions
+from cosim.fmi.export.package import source_files
 
 LEAVES, RETURNS = asin(0.5), pi - asin(0.5)  # s
 
@@ -133,3 +137,19 @@ def test_impossible_valid_output_is_rejected_with_one_message(tmp_path):
     with pytest.raises(UsageError, match="variable 'valid' of its own"):
         cosim.export_fmu(model.freeze(), tmp_path / "a.fmu", valid=True)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("names", ["flat", "structured"])
+@VERSIONS
+def test_valid_depends_on_what_the_limits_depend_on_and_on_no_other_event(fmi, names):
+    model = Model("two")
+    x, y = (model.state(name, "1", 1.0, name) for name in "xy")
+    model.derivative(x, -ca.fabs(y - 0.5))
+    model.derivative(y, -y)
+    model.limit(x, "x > 0")
+    model.limit(2 - x, "x < 2")
+    options = FmuOptions(fmi=fmi, valid=True, names=names)
+    file = parse(source_files(model.freeze(), options)["modelDescription.xml"])
+    for section in ("Outputs", "InitialUnknowns"):
+        (valid,) = (u for u in file.sections[section] if file.variables[u.position].name == "valid")
+        assert [file.variables[i].name for i in valid.needs] == ["x"]  # before: y, too

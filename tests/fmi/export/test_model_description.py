@@ -1,16 +1,17 @@
 """The model description: what the model says of a variable is what the file says of it."""
 
-from math import inf
+from math import inf, pi
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 from helpers.fmi_cases import VERSIONS
 from helpers.small_models import decay
 
 import cosim
 from casadi_models.dae import Dae, Model, Start
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.fmi.check.parsed import Description, parse
 from cosim.fmi.export.dependencies import fixed_parameters, tunable_parameters
 from cosim.fmi.export.options import FmuOptions
@@ -183,6 +184,64 @@ def test_description_contains_author_license_and_date_if_given(fmi):
     names = ("author", "license", "generationDateAndTime")
     assert [root.get(name) for name in names] == [*about.values()]
     assert "generationDateAndTime" not in described(rich(), fmi).root.attrib
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("2026-01-02", "2026-01-02T00:00:00"),
+        ("2026-01-02 03:04:05+00:00", "2026-01-02T03:04:05Z"),
+    ],
+)
+def test_dates_are_written_as_the_schema_wants_them(text, written):
+    given = source_files(rich(), FmuOptions(about={"date": text}))
+    root = ET.fromstring(given["modelDescription.xml"])
+    assert root.get("generationDateAndTime") == written
+
+
+@pytest.mark.parametrize("text", ["yesterday", "", "2026-13-01"])
+def test_texts_that_are_no_dates_are_refused(text):
+    with pytest.raises(ParameterError, match="is no date; write it like 2026-12-31T"):
+        FmuOptions(about={"date": text})
+
+
+@pytest.mark.parametrize("character", ["\x0b", "\0", "\ud800", "\uffff"])
+def test_characters_that_xml_cannot_hold_are_refused(character):
+    model = Model("odd", description=f"a{character}b")
+    model.derivative(model.state("x", "1", 1.0, "x"), 0)
+    with pytest.raises(ExportError, match="description of fmiModelDescription has the character"):
+        source_files(model.freeze(), FmuOptions())
+
+
+@VERSIONS
+def test_rates_of_temperatures_have_no_offset(fmi, tmp_path):
+    model = Model("oven", stop_time=1.0, output_interval=1.0)
+    T = model.state("T", "degC", 20.0, "temperature", display_unit="K")
+    model.derivative(T, 0.5)
+    fmu = cosim.export_fmu(model.freeze(), tmp_path / "oven.fmu", fmi=fmi)  # before: not sound
+    read = {v.name: v.texts for v in described(model.freeze(), fmi).variables}
+    assert read["der(T)"]["unit"] == "degC/s"
+    assert cosim.simulate_fmu(fmu)["T"][-1] == pytest.approx(20.5, rel=1e-12)
+
+
+def test_start_values_are_not_rounded_out_of_bounds():
+    model = Model("bounded")
+    k = model.parameter("k", "rad", pi / 3, "start")
+    x = model.state("x", "rad", 1.0, "x", maximum=pi / 3)
+    model.derivative(x, 0)
+    model.start(x, k, "k")
+    (shown,) = (v.texts for v in described(model.freeze()).variables if v.name == "x")
+    assert float(shown["start"]) == pi / 3  # to 15 digits, it is larger
+
+
+@pytest.mark.parametrize("fact", ["tolerance", "max_step", "step_size"])
+def test_options_may_be_numbers_of_numpy(fact):
+    solver = "rk4" if fact == "step_size" else None
+    headers = [
+        source_files(rich(), FmuOptions(solver=solver, **{fact: value}))["sources/model.h"]
+        for value in (0.01, np.float64(0.01))
+    ]
+    assert headers[0] == headers[1]
 
 
 def test_fmu_contains_the_licenses():

@@ -75,6 +75,17 @@ def test_vector_that_a_reduction_divides_keeps_casadis_names():
     assert runs[0]["x"][-1] == pytest.approx(runs[1]["x"][-1], abs=1e-8)
 
 
+@pytest.mark.parametrize("length", [1e-12, 1e-9, 1e-6, 1.0, 1e6, 1e12])
+def test_starts_of_any_size_satisfy_the_constraints(length):
+    given = {"x": 0.6 * length, "y": -0.8 * length, "u": 0.4 * length, "L": length}
+    dae = cosim.from_casadi(pendulum(), given)
+    v = dae.x_start[[s.name for s in dae.states].index("v")]
+    assert v == pytest.approx(0.3 * length, rel=1e-12)  # before: 0 at micrometers
+    assert len(dae.start_rules[0].states) == 4
+    with pytest.raises(InitialConditionError, match="cannot vanish with the given starts"):
+        cosim.from_casadi(pendulum(), given | {"y": -0.9 * length})
+
+
 def test_starts_that_nobody_gave_satisfy_the_constraints_and_follow_the_parameters():
     dae = cosim.from_casadi(pendulum(), {"x": 0.6, "y": -0.8, "u": 0.5, "L": 1.0})
     run = cosim.simulate(dae, stop_time=0.01)

@@ -308,7 +308,8 @@ def _unit_of(described: Description, variable: Described) -> Iterator[tuple[Rule
         yield RULES["derivative"], fault
         return
     base, rate = (_base(units.get(v.texts.get("unit"))) for v in (state, variable))
-    if base and rate and rate != base | {"s": base["s"] - 1}:
+    per_second = base and base | {"s": base["s"] - 1, "offset": 0.0}  # differences have no offset
+    if rate and any(not isclose(rate[n], per_second[n], rel_tol=_ROUNDING) for n in per_second):
         yield RULES["unit-of-rate"], f"unit '{unit}' is not that of '{state.name}' per second"
 
 

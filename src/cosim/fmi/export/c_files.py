@@ -60,8 +60,8 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
 
 def variable_table(plan: Plan) -> str:
     """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
-    limits = "".join(f"    {_literal(meaning)},\n" for _, meaning in plan.dae.limits)
-    violations = "".join(f"    {_literal(violated(meaning))},\n" for _, meaning in plan.dae.limits)
+    limits = [_literal(meaning) for _, meaning in plan.dae.limits]
+    violations = [_literal(violated(meaning)) for _, meaning in plan.dae.limits]
     bounds = plan.bounds
     bounded, moving = (*bounds.relations, -1), (*bounds.moving, -1)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
@@ -73,14 +73,8 @@ def variable_table(plan: Plan) -> str:
 static const VariableInfo variables[] = {{
 {rows}}};
 
-static const char *const limits[] = {{
-{limits}    NULL,
-}};
-
-static const char *const violations[] = {{
-{violations}    NULL,
-}};
-
+{_texts("limits", limits)}
+{_texts("violations", violations)}
 static const int bounded_limits[] = {{{", ".join(map(str, bounded))}}};
 static const int moving_limits[] = {{{", ".join(map(str, moving))}}};
 {_event_tables(plan)}"""

@@ -1,5 +1,6 @@
 """modelDescription.xml and buildDescription.xml of FMI 2.0 and 3.0."""
 
+import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from math import inf, isfinite
@@ -7,12 +8,13 @@ from xml.etree import ElementTree as ET
 
 from casadi_models.dae import Start
 from casadi_models.units import UNITS, conversion
+from cosim.errors import ExportError
 from cosim.fmi.archive import TOOL
 from cosim.fmi.export.dependencies import Dependencies
 from cosim.fmi.export.dialect import LOG_CATEGORIES, QUANTITIES, Dialect
 from cosim.fmi.export.options import ABOUT
 from cosim.fmi.export.plan import Plan
-from cosim.fmi.export.variables import FmuVariable, Role, units_of_rates
+from cosim.fmi.export.variables import VALID, FmuVariable, Role, units_of_rates
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
@@ -172,8 +174,22 @@ def _scaled(factor: float, offset: float, *, always: bool = False) -> dict[str, 
     return facts | ({"offset": shortest(offset)} if offset else {})
 
 
+_NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # of XML
+
+
 def to_bytes(root: ET.Element) -> bytes:
-    """Return an XML file's content, indented."""
+    """Return an XML file's content, indented.
+
+    Raises:
+        ExportError: A text has a character that XML cannot hold.
+    """
+    for element in root.iter():
+        for name, text in element.attrib.items():
+            if found := _NO_CHARACTER.search(text):
+                raise ExportError(
+                    f"{name} of {element.tag} has the character {found[0]!a}, which XML "
+                    "cannot hold; leave it out"
+                )
     ET.indent(root)
     content: bytes = ET.tostring(root, encoding="UTF-8", xml_declaration=True)
     return content + b"\n"
@@ -281,7 +297,7 @@ def model_structure(
     outputs = _references(variables, Role.OUTPUT)
     margins = outputs[len(outputs) - indicators :]
     observed = [i for i, v in enumerate(variables) if v.observed]
-    running, initial = _needs(variables, depends, dialect, margins)
+    running, initial = _needs(variables, depends, dialect)
     sections = (
         (observed, running),
         (_references(variables, Role.DERIVATIVE), running),
@@ -313,10 +329,7 @@ def _unknown_at_start(variables: Sequence[FmuVariable]) -> list[int]:
 
 
 def _needs(
-    variables: Sequence[FmuVariable],
-    depends: Dependencies,
-    dialect: Dialect,
-    margins: Sequence[int],
+    variables: Sequence[FmuVariable], depends: Dependencies, dialect: Dialect
 ) -> tuple[Needs, Needs]:
     """Return the dependencies during a run and at its start."""
     states = _references(variables, Role.STATE)
@@ -338,6 +351,8 @@ def _needs(
         running = {i: tuple(k for k in needs if k not in fixed) for i, needs in running.items()}
     running |= {i: (i,) for i in states}
     initial = _lists([*states, *computed], depends.initial, knowns)
+    outputs = [(i, variables[i]) for i in _references(variables, Role.OUTPUT)]
+    margins = [i for i, v in outputs if (v.alias or v.name).startswith(f"{VALID}_margin_")]
     for needs in (running, initial):
         whole = tuple(sorted({k for margin in margins for k in needs[margin]}))
         needs |= dict.fromkeys(_references(variables, Role.VALIDITY), whole)

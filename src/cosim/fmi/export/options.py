@@ -3,10 +3,12 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from enum import StrEnum
 from typing import TypedDict
 
 from casadi_models.dae import Dae
+from casadi_models.units import represented
 from cosim.codegen.fmu.solver import FIXED_STEPS
 from cosim.errors import ExportError, ParameterError, UnknownName, UsageError
 from cosim.fmi.export.dialect import DIALECTS
@@ -71,6 +73,16 @@ class FmuKeywords(TypedDict, total=False):
     names: str
 
 
+def _date(text: str) -> str:
+    """Return a date with its time, as XML writes it."""
+    try:
+        return datetime.fromisoformat(text).isoformat().replace("+00:00", "Z")
+    except ValueError:
+        raise ParameterError(
+            f"export: date = {represented(text)} is no date; write it like 2026-12-31T23:59:00Z"
+        ) from None
+
+
 @dataclass(frozen=True)
 class FmuOptions:
     """Export options that hold for any model, checked when they are created; see `export_fmu`."""
@@ -96,19 +108,21 @@ class FmuOptions:
             raise UnknownName.among("cosim", "FMI version", str(self.fmi), map(str, DIALECTS))
         if isinstance(self.platforms, str):
             raise UsageError.of_type("export_fmu", self.platforms, "a list of platforms")
-        if not 1e-13 <= number("export", "tolerance", self.tolerance) <= 0.1:
-            raise ParameterError(
-                f"export: tolerance = {float(self.tolerance):g} is not within 1e-13 ... 0.1"
-            )
+        tolerance = number("export", "tolerance", self.tolerance)
+        if not 1e-13 <= tolerance <= 0.1:
+            raise ParameterError(f"export: tolerance = {tolerance:g} is not within 1e-13 ... 0.1")
+        object.__setattr__(self, "tolerance", tolerance)
         for name in ("step_size", "max_step"):
             value, fixed = getattr(self, name), self.solver in FIXED_STEPS
             if value is None:
                 continue
-            number("export", name, value, positive=True)
+            object.__setattr__(self, name, number("export", name, value, positive=True))
             if fixed != (name == "step_size"):
                 other = "the adaptive ones" if fixed else " and ".join(FIXED_STEPS)
                 raise UsageError(f"export: {name} is for other solvers: {other}; name one")
         UnknownName.reject("export", "fact about an FMU", ABOUT, *(self.about or {}))
+        if self.about and (date := self.about.get("date")) is not None:
+            object.__setattr__(self, "about", {**self.about, "date": _date(date)})
         if self.adjoint and not self.derivatives:
             raise UsageError("export: adjoint needs derivatives; leave one of the options out")
         if self.adjoint and self.fmi == 2:

@@ -106,11 +106,12 @@ def source_files(dae: Dae, options: FmuOptions) -> dict[str, bytes]:
 
 def files_of(plan: Plan) -> dict[str, bytes]:
     """Return the content of a planned FMU by path, without binaries."""
-    code = _model_code(plan)
     sources = ["fmu.c", *plan.embedded]
     description = model_description(plan, sources)
+    written = to_bytes(description)  # before texts go into code: rejects what cannot be written
+    code = _model_code(plan)
     settings = repr((plan.step_size, plan.options.max_step)).encode()
-    guid = _guid_of(to_bytes(description), *code.values(), *plan.runtime.values(), settings)
+    guid = _guid_of(written, *code.values(), *plan.runtime.values(), settings)
     description.set(plan.dialect.token, guid)
     code["model.h"] = model_header(plan, guid, code["equations.c"].decode()).encode()
     code["buildDescription.xml"] = build_description(plan, sources)

@@ -148,12 +148,18 @@ def _resting(dae: Dae) -> list[bool]:
 
 
 def _settled(dae: Dae) -> list[float | None]:
-    """Return the start values after initialization, to 15 digits; None where it fails."""
+    """Return the start values after initialization, to 15 digits; None where it fails.
+
+    Rounding does not lead out of bounds.
+    """
     u, p = ([float(v.start or 0.0) for v in group] for group in (dae.inputs, dae.parameters))
     x, _ = start_function(dae)(0.0, list(dae.x_start), u, p)
-    nominal = np.array([state.nominal for state in dae.states])
-    solved = np.where(np.abs(x.full().ravel()) > 1e-14 * nominal, x.full().ravel(), 0.0)
-    return [float(f"{value:.15g}") if isfinite(value) else None for value in solved]
+    found = list[float | None]()
+    for state, value in zip(dae.states, x.full().ravel().tolist(), strict=True):
+        shown = float(f"{value:.15g}") if abs(value) > 1e-14 * state.nominal else 0.0
+        within = state.minimum <= shown <= state.maximum
+        found.append((shown if within else value) if isfinite(value) else None)
+    return found
 
 
 def _fmu_variable(

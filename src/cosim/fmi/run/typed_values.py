@@ -35,6 +35,13 @@ def start_number(variable: Any) -> float:
     return float(_WORDS.get(variable.start, variable.start or 0.0))
 
 
+def start_value(variable: Any) -> Any:
+    """Return the start value of a variable of fmpy's as its type has it; 0 or "" if it has none."""
+    if variable.type == "String":
+        return variable.start or ""
+    return int(variable.start or 0) if variable.type in RANGES else start_number(variable)
+
+
 def typed_value(owner: str, variable: Any, value: Any) -> Any:
     """Return a value as the type of a variable requires; nothing is rounded or wrapped.
 

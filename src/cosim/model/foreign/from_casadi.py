@@ -10,6 +10,7 @@ import numpy as np
 from casadi import MX, SX
 
 from casadi_models.dae import Dae, Model
+from casadi_models.dae.relations import term_sizes
 from casadi_models.units import known as known_unit
 from cosim.arrays import Vector
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
@@ -25,7 +26,7 @@ from cosim.model.foreign.casadi_system import (
 )
 from cosim.model.foreign.named_symbols import Symbol
 
-START_TOLERANCE = 1e-12  # of a constraint at the start, relative to the starts
+START_TOLERANCE = 1e-12  # of a constraint at the start, relative to its terms
 PIVOT = 1e-8  # below, a constraint repeats others
 NEWTON_STEPS = 50
 
@@ -44,31 +45,36 @@ class ConsistentStart(NamedTuple):
 def _consistent_start(
     who: str, constraints: ca.Function, starts: Mapping[str, float], p: Vector, given: Set[int]
 ) -> ConsistentStart:
-    """Move the states that are not given onto the constraints `I(x, p)`, (m,), by least squares.
+    """Move the states that are not given onto constraints, by least squares.
 
+    `constraints(x, p)` returns them, (m,), and the sizes of their terms.
     `casadi.dae_reduce_index` returns the original constraints as `I`; a solution keeps them at zero
     if they are zero at its start. Some states are therefore calculated from the others.
     """
     names, x = [*starts], np.array([*starts.values()], dtype=float)
     slope = constraints.factory("slope", constraints.name_in(), ["jac:I:x"])
     free = [i for i in range(x.size) if i not in given]
+    terms = np.asarray(constraints(np.abs(x) + np.abs(x).max(), p)[1]).ravel()
+    terms[terms == 0] = 1.0
+    powers = 1024.0 ** np.trunc(np.log(terms) / np.log(1024))  # 1 for rows of usual size
     for _ in range(NEWTON_STEPS):
-        residual = np.asarray(constraints(x, p)).ravel()
-        if np.abs(residual).max() <= START_TOLERANCE * (1 + np.abs(x).max()):
+        residual = np.asarray(constraints(x, p)[0]).ravel()
+        if (np.abs(residual) <= START_TOLERANCE * np.fmin(terms, 1 + np.abs(x).max())).all():
             break
         matrix = np.asarray(ca.DM(slope(x, p)))[:, free]
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
             break
-        x[free] -= np.linalg.lstsq(matrix, residual, rcond=1e-12)[0]
-    residual = np.asarray(constraints(x, p)).ravel()
-    worst = int(np.argmax(np.abs(np.nan_to_num(residual, nan=np.inf))))
-    if not np.abs(residual).max() <= 1e3 * START_TOLERANCE * (1 + np.abs(x).max()):
+        x[free] -= np.linalg.lstsq(matrix / powers[:, None], residual / powers, rcond=1e-12)[0]
+    residual = np.asarray(constraints(x, p)[0]).ravel()
+    worst = int(np.argmax(np.nan_to_num(np.abs(residual) / terms, nan=np.inf)))
+    if not abs(residual[worst]) <= 1e3 * START_TOLERANCE * terms[worst]:
         fixed = ", ".join(names[i] for i in sorted(given)) or "none"
         raise InitialConditionError(
             f"{who}: constraint {worst + 1} of I is {residual[worst]:.3g} at the start and cannot "
             f"vanish with the given starts ({fixed}); give consistent ones, or fewer"
         )
-    rows, states = _pivots(np.asarray(ca.DM(slope(x, p))), free, sorted(given))
+    slopes = np.asarray(ca.DM(slope(x, p))) / powers[:, None]
+    rows, states = _pivots(slopes, free, sorted(given))
     return ConsistentStart(x, rows, states)
 
 
@@ -371,7 +377,8 @@ def _consistent(
         raise UsageError(f"{who}: I depends on z; only time, x, u and p may stand there")
     u = ca.DM([*starts["u"].values()])
     law = ca.substitute(law, ca.vertcat(values["t"], values["u"]), ca.vertcat(0, u))
-    constraints = ca.Function("I", [values["x"], values["p"]], [law], ["x", "p"], ["I"])
+    results = [law, term_sizes(law)]
+    constraints = ca.Function("I", [values["x"], values["p"]], results, ["x", "p"], ["I", "terms"])
     given = {
         [*starts["x"]].index(entry)
         for symbol in system.symbols["x"]
