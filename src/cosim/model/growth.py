@@ -176,9 +176,12 @@ def _first_lines(
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
     rate = path.rates(path.time[:1], x)
     times = np.linspace(begin, stop, _PLACES)
-    slopes = path.slopes(times, x + rate * (times - begin))
+    line = x + rate * (times - begin)
+    slopes = path.slopes(times, line)
     finite = _finite(slopes)
-    if not finite[0] or np.linalg.eigvals(slopes[finite]).real.max() * (stop - begin) <= 1:
+    if not finite[0] or not path.rates(times, line).any():
+        return
+    if np.linalg.eigvals(_distinct(slopes[finite])).real.max() * (stop - begin) <= 1:
         return
     length = stop - begin
     before = np.zeros(len(x), dtype=bool)
@@ -193,6 +196,11 @@ def _first_lines(
             yield replace(path, time=time, states=states), last, calm
         before |= calm
         length /= _SHORTER
+
+
+def _distinct(slopes: Vector) -> Vector:
+    """Return slopes at places, (m, nx, nx), or the first ones if all are the same, as at rest."""
+    return slopes[:1] if (slopes == slopes[0]).all() else slopes
 
 
 def _finite(slopes: Vector) -> Truths:
@@ -256,7 +264,8 @@ def growth_along(
     rate = path.rates(t[[first]], path.states[:, [first]])
     on_line = calm[:, None] & (t <= t[last])
     line = np.where(on_line, path.states[:, [first]] + rate * (t - t[first]), path.states)
-    course = _Course.of(replace(path, states=line), first, last, calm)
+    rests = not path.rates(t[first : last + 1], line[:, first : last + 1]).any()
+    course = None if rests else _Course.of(replace(path, states=line), first, last, calm)
     if course is None:
         return None
     rows = np.unique([course.first, (course.first + last) // 2, last])
@@ -325,7 +334,10 @@ class _Course:
             rows, slopes = rows[finite], slopes[finite]
             if np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
                 break
-        values, left = np.linalg.eig(slopes.transpose(0, 2, 1))
+        values, left = (
+            np.broadcast_to(own, (len(rows), *own.shape[1:]))
+            for own in np.linalg.eig(_distinct(slopes).transpose(0, 2, 1))
+        )
         shares = np.abs(left) / np.abs(left).max(axis=1, keepdims=True)
         alone = ~((shares > _COUPLED) & ~calm[:, None]).any(axis=1)
         fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
