@@ -51,6 +51,9 @@ def test_violation_is_a_text_that_knows_its_parts():
     sent = pickle.loads(pickle.dumps(own))
     assert (sent, sent.time, sent.what) == (own, 1.23456789, "the wheel lifts")
     assert short_reason("the step failed") == "the step failed"
+    assert short_reason(Violation(1234.5678, "late")) == "invalid from 1234.57 s: late"
+    assert short_reason(Violation(1e9 + 0.5, "late")) == "invalid from 1000000000.5 s: late"
+    assert short_reason(Violation(1.234e-9, "soon")) == "invalid from 1.23e-09 s: soon"
 
 
 @pytest.mark.parametrize(

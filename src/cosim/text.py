@@ -139,10 +139,15 @@ class Ending(str):
 
 
 def short_reason(reason: str) -> str:
-    """Return a reason, with three digits of its time if it is a `Violation`."""
+    """Return a reason, with few digits of its time if it is a `Violation`."""
     if not isinstance(reason, Violation) or reason.what == reason:
         return reason
-    return f"invalid from {reason.time:.3g} s: {reason.what}"
+    return f"invalid from {moment(reason.time)} s: {reason.what}"
+
+
+def moment(time: float, digits: int = 3) -> str:
+    """Return a time, s, with a few digits; from 10 s on with hundredths."""
+    return f"{time:.{digits}g}" if abs(time) < 10 else f"{time:.2f}".rstrip("0").rstrip(".")
 
 
 def csv_cell(text: str) -> str:

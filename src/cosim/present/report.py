@@ -35,7 +35,7 @@ from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import linearize
-from cosim.text import html_table
+from cosim.text import html_table, moment
 from cosim.trajectory import Trajectory
 
 _FEW = 20  # lines that are not folded
@@ -86,7 +86,7 @@ def _validity(run: Trajectory) -> str:
     if not reasons:
         return ""
     why = html.escape("; ".join(reasons))
-    return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
+    return f'<p class="invalid">invalid from {moment(start)} s: {why}</p>'
 
 
 def _system(c: ReportContents) -> Iterable[str]:
