@@ -139,6 +139,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         reach = _LONG_PATH * float(np.ptp(poses, axis=0).max())
         points += [part for run in runs for part in _framed_paths(run, reach)]
     everything = np.concatenate(points)
+    everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)
     return Scale(
         points=everything,

@@ -39,7 +39,7 @@ from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
 from cosim.model.request import choice
 from cosim.model.values import number
-from cosim.plotting import picture
+from cosim.plotting import picture, reject_pixels
 from cosim.present.playback.page import column_facts, packages, packed
 from cosim.present.playback.page import page as html_page
 from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
@@ -146,6 +146,7 @@ def animate(
         raise UsageError(f"animate: only a picture shows chosen times; name a .png, not a .{kind}")
     if live is not None and kind is not AnimationFormat.HTML:
         raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
+    reject_pixels(*size, dpi)
     reject_missing(kind, live=live is not None)
     shown = _shown(runs)
     times = None
@@ -154,7 +155,7 @@ def animate(
     rate: dict[str, Any] = {"frames_per_second": kind.frames_per_second, "speed": speed}
     played: list[Poses] = []
     for run in shown:
-        if played:
+        if played and len(run):
             times = [min(max(t, run.time[0]), run.time[-1]) for t in played[0].time.tolist()]
         beside = () if played else labels
         drawing = drawing_of(run, model)
