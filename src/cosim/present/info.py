@@ -108,9 +108,9 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
     """
     if isinstance(source, os.PathLike):
         source = os.fspath(source)
-    if isinstance(source, str) and source.endswith(".fmu"):
+    if isinstance(source, str) and source.lower().endswith(".fmu"):
         return _fmu_info(Path(source))
-    if isinstance(source, str) and source.endswith(".toml"):
+    if isinstance(source, str) and source.lower().endswith(".toml"):
         source = read_scene(source)
     if isinstance(source, Scene):
         return _of_scene(source)

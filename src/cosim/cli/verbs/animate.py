@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     at = None if args.poses is None else numbers_in("--at", args.poses)
     size = size_of(args)
     reject_pixels(*size, args.dpi)
-    tables = [name for name in args.sources if name.endswith(".csv")]
+    tables = [name for name in args.sources if name.lower().endswith(".csv")]
     if args.shown_model is None and tables:
         args.shown_model = guessed_model(tables)
         drawn = f"the result is drawn as {args.shown_model}, with its default parameters"
