@@ -233,6 +233,25 @@ def test_movie_has_every_frame(run, tmp_path, kind):
         assert path.read_bytes()[4:8] == b"ftyp"
 
 
+@pytest.mark.parametrize(
+    ("interval", "speed", "length"), [(0.01, 1.0, 1.0), (0.01, 0.3, 3.3), (0.007, 1.0, 1.0)]
+)
+@pytest.mark.parametrize("rate", [4.0, 90.0])
+def test_a_gif_lasts_as_long_as_its_run_in_pictures_that_browsers_show(
+    rate, interval, speed, length, tmp_path
+):
+    run = cosim.simulate(spinning(rate), stop_time=1.0, output_interval=interval, compiled=False)
+    path = animate(run, tmp_path / "x.gif", size=(1, 1), dpi=20, speed=speed)
+    with Image.open(path) as movie:
+        lengths = []
+        for i in range(movie.n_frames):
+            movie.seek(i)
+            lengths.append(movie.info["duration"] / 1000)
+    assert min(lengths) >= 0.02
+    # the first picture and the last one count, too
+    assert sum(lengths[:-1]) == pytest.approx(length, abs=0.03 + lengths[-1])
+
+
 def pixels(figure):
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=100)

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import pi, radians
+from math import ceil, pi, radians
 from pathlib import Path
 from typing import Any
 from warnings import warn
@@ -45,6 +45,8 @@ from cosim.present.playback.page import page as html_page
 from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
 from cosim.series.samples import Column
 from cosim.trajectory import Trajectory
+
+_FASTEST_GIF = 50.0  # pictures per second; browsers show shorter ones for a tenth of a second
 
 
 class AnimationFormat(StrEnum):
@@ -214,6 +216,19 @@ def reject_missing(kind: AnimationFormat, *, live: bool) -> None:
         optional_module("imageio_ffmpeg", "animate")
 
 
+class _GifWriter(PillowWriter):
+    """Writes a GIF, whose pictures last whole hundredths of a second."""
+
+    _frames: list[Any]
+
+    def finish(self) -> None:
+        """Write the file."""
+        first, *others = self._frames
+        ends = np.round(100 / self.fps * np.arange(2 + len(others)))
+        lengths = (10 * np.diff(ends)).tolist()  # ms
+        first.save(self.outfile, save_all=True, append_images=others, duration=lengths, loop=0)
+
+
 def movie(
     runs: Sequence[Poses],
     kind: AnimationFormat,
@@ -228,7 +243,8 @@ def movie(
     stage = Stage(runs, view, follow, size)
     gaps = np.diff(runs[0].time)
     per_second = runs[0].speed * float(1 / gaps[0] if gaps.size and gaps[0] else 1.0)
-    writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
+    stride = ceil(per_second / _FASTEST_GIF - 1e-9) if kind is AnimationFormat.GIF else 1
+    writer: AbstractMovieWriter = _GifWriter(fps=per_second / stride)  # type: ignore[arg-type]
     settings: Any = {}
     if kind is AnimationFormat.MP4:
         ffmpeg = optional_module("imageio_ffmpeg", "animate")
@@ -237,13 +253,13 @@ def movie(
         writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
     with temporary_folder() as folder, matplotlib.rc_context(settings):
         place = folder / f"movie.{kind}"
-        drawn, count = 0, len(runs[0].time)
+        drawn, count = 0, len(runs[0].time[::stride])
         with (
             writer.saving(figure, str(place), dpi),
             doing(f"drawing {count} pictures", lambda: drawn / count),
         ):
             for drawn in range(count):
-                stage.draw(axis, [drawn])
+                stage.draw(axis, [drawn * stride])
                 writer.grab_frame()
         return place.read_bytes()
 
