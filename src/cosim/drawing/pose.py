@@ -297,7 +297,7 @@ def start_pose(dae: Dae) -> StartPose | None:
     values = Values(np.zeros(1), unknown | dict(drawing.numbers) | _start_values(dae))
     with np.errstate(invalid="ignore"):  # not a number: returned as None
         poses = poses_at(bodies, values, values.time)
-    signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
+    signs = [*_turns(dae, poses, values), *_positive_loads(dae, values)]
     size = _extent(poses)
     merged = tuple(_merged(signs, [v.name for v in dae.variables], size))
     numbers = [poses.places, poses.rotations, *(sign.at for sign in merged)]
@@ -332,13 +332,14 @@ def _start_values(dae: Dae) -> dict[str, float]:
     return values | dict(zip(names, solved.tolist(), strict=True))
 
 
-def _positive_loads(drawing: Drawing, values: Values) -> Iterator[Sign]:
+def _positive_loads(dae: Dae, values: Values) -> Iterator[Sign]:
     """Yield the direction of each load component that enters its arrow linearly."""
-    for arrow in drawing.arrows:
+    others = {v.name for v in (*dae.states, *dae.parameters)}
+    for arrow in dae.drawing.arrows:
         at = values.first(arrow.at).ravel()
         for symbol in ca.symvar(arrow.vector):
             direction = ca.jacobian(arrow.vector, symbol)
-            if not ca.depends_on(direction, symbol):
+            if symbol.name() not in others and not ca.depends_on(direction, symbol):
                 yield Sign((symbol.name(),), False, at, values.first(direction).ravel())
 
 

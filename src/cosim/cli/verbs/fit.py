@@ -93,16 +93,6 @@ def _write(found: Fit, target: str, reference: str) -> None:
 
 
 def _as_json(found: Fit) -> dict[str, Any]:
-    return {
-        "model": found.subject.name,
-        "values": found.values,
-        "errors": found.errors,
-        "intervals": found.intervals,
-        "confidence": found.confidence,
-        "correlation": found.correlation.tolist(),
-        "rank": found.rank,
-        "unidentified": found.unidentified,
-        "notes": found.notes,
-        "noise": found.noise,
-        "samples": found.samples,
-    }
+    names = ("values", "errors", "intervals", "confidence", "rank", "unidentified", "notes")
+    facts = {name: getattr(found, name) for name in (*names, "noise", "samples")}
+    return {"model": found.subject.name, "correlation": found.correlation.tolist(), **facts}

@@ -67,11 +67,7 @@ class AnimationFormat(StrEnum):
     @property
     def frames_per_second(self) -> float:
         """Smallest number of frames in a second of playback."""
-        return {
-            AnimationFormat.GIF: 15.0,
-            AnimationFormat.MP4: 25.0,
-            AnimationFormat.HTML: 100.0,
-        }.get(self, FRAMES_PER_SECOND)
+        return {"gif": 15.0, "mp4": 25.0, "html": 100.0}.get(self, FRAMES_PER_SECOND)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,6 @@ class Curves {
     const values = (_, ticks) => ticks.map((tick) => stepped(tick, ticks[1] - ticks[0] || tick));
     const axis = { stroke: color, grid: { stroke: faint, width: 1 }, ticks: { stroke: faint }, values };
     const { time } = this.results[0].curves, span = time[time.length - 1] - time[0];
-    const instant = (t) => stepped(t, span / 100 || t);
     const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
       label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
@@ -65,7 +64,7 @@ class Curves {
     const options = {
       width: this.place.clientWidth, height: 170, legend: { live: true }, cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false }, y: { range: (plot) => this.reach(plot) } },
-      series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${instant(v)} s`) }, ...lines],
+      series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${stepped(v, span / 100 || v)} s`) }, ...lines],
       axes: [{ ...axis, size: 34, space: (_, axis, low, high) => 20 + 7 * stepped(high - (high - low) / 40, (high - low) / 40).length },
         { ...axis, size: (_, texts) => Math.max(62, 20 + 7 * Math.max(...(texts || [""]).map((s) => s.length))),
           label: unit === "1" ? "" : unit, labelSize: 18 }],

@@ -208,7 +208,7 @@ class Actor {
       group.visible = length > 1e-6 * data.pose;
       group.position.copy(this.place(t, base + k * LOAD));
       group.quaternion.copy(onto(vector));
-      shaft.scale.set(1, 1, Math.max(length - 0.07 * data.pose, 1e-9));
+      shaft.scale.set(1, 1, Math.max(length - 0.07 * data.pose, 1e-9 * data.pose));
       head.position.z = length;
       head.scale.setScalar(Math.min(1, length / (0.1 * data.pose)));
       group.userData.text = `${load.name}: ${shown(size * load.factor)} ${load.unit}, ${load.meaning}` +
