@@ -426,3 +426,18 @@ def test_charts_fit_values_of_any_size(values, low, high, tmp_path):
     assert found == pytest.approx([low, high], rel=1e-6)
     assert len(set(ticks)) == len(ticks)
     assert bool(points) is (len(values) == 1)
+
+
+def test_an_event_at_the_end_of_a_run_is_named(tmp_path):
+    """Times of frames are floats of 4 bytes, which may lie before it."""
+    model = cosim.Model("ball", stop_time=1.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    bounces = model.discrete("bounces", "1", 0, "number of impacts")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -0.7 * v, bounces: bounces + 1}, name="impact")
+    model.stop(bounces > 0, "it has bounced")
+    run = cosim.simulate(model.freeze(), record_events=True)
+    path = animate(run, tmp_path / "x.html")
+    code = f"player.go(player.end); {FRAMES} return document.getElementById('facts').textContent"
+    assert "impact" in asked(path, code, tmp_path)

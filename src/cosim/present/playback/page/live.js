@@ -91,7 +91,7 @@ class Solver {
     const lines = messages.filter((text) => !EVENT.test(text)).map(plain);
     const reasons = [...new Set(lines.map(violation))]; // what is violated again and again is one reason
     const stopped = reached < times.length;
-    if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
+    if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${rounded(time[reached - 1])} s`);
     const since = lines.map((line) => /invalid from (\S+) s:/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",

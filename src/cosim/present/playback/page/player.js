@@ -135,9 +135,11 @@ class Player {
     }
     $("facts").textContent = parts.join("\n");
     this.alarm(this.results.flatMap((run) => this.complaints(run)));
-    const event = this.results[0].events.filter(([time]) => time <= this.t).pop();
-    if (event && this.t - event[0] < 0.5 * this.speed)
-      $("facts").appendChild(document.createElement("div")).textContent = event[1];
+    const now = this.t + 1e-6 * (this.end - this.begin); // times of frames are rounded
+    const { events } = this.results[0], last = events.filter(([time]) => time <= now).pop();
+    if (last && this.t - last[0] < 0.5 * this.speed)
+      $("facts").appendChild(document.createElement("div")).textContent =
+        events.filter(([time]) => time === last[0]).map(([, name]) => name).join(", ");
   }
 
   /* What is wrong with a run, at all times: a line that comes and goes would move the picture. */
