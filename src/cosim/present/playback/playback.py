@@ -13,6 +13,7 @@ from cosim.arrays import Vector
 from cosim.drawing.pose import Poses, Values, motion, poses_at
 from cosim.errors import UsageError
 from cosim.series.samples import clipped_times, resample
+from cosim.text import moment
 from cosim.trajectory import Trajectory
 
 FRAMES_PER_SECOND = 30.0
@@ -69,8 +70,8 @@ def playback(
     clipped, inside = clipped_times(run.time, frames)
     if not inside.all():
         raise UsageError(
-            f"{run.model}: {frames[~inside][0]:g} s lies outside the run, "
-            f"{run.time[0]:g} ... {run.time[-1]:g} s"
+            f"{run.model}: {moment(frames[~inside][0], 6)} s lies outside the run, "
+            f"{moment(run.time[0], 6)} ... {moment(run.time[-1], 6)} s"
         )
     poses = poses_at(drawing, values, clipped)
     placed = np.isfinite(poses.places.sum((1, 2)) + poses.rotations.sum((1, 2, 3)))
