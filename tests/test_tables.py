@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from cosim.text import Violation, html_table, json_text, short_reason, text_table, violated
+from cosim.text import Ending, Violation, html_table, json_text, short_reason, text_table, violated
 
 ROWS = [
     {"name": "phi", "value": 0.123456, "meaning": "roll angle " * 9},
@@ -51,6 +51,12 @@ def test_violation_is_a_text_that_knows_its_parts():
     sent = pickle.loads(pickle.dumps(own))
     assert (sent, sent.time, sent.what) == (own, 1.23456789, "the wheel lifts")
     assert short_reason("the step failed") == "the step failed"
+    assert Violation(1234.56789, "late") == "invalid from 1234.57 s: late"
+    assert Violation(1e9 + 0.5, "late") == "invalid from 1000000000.5 s: late"
+    assert Ending("it failed").after(86400.25) == "stopped after 86400.25 s: it failed"
+    assert short_reason(Violation(1234.5678, "late")) == "invalid from 1234.57 s: late"
+    assert short_reason(Violation(1e9 + 0.5, "late")) == "invalid from 1000000000.5 s: late"
+    assert short_reason(Violation(1.234e-9, "soon")) == "invalid from 1.23e-09 s: soon"
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from cosim.colors import INVALID
 from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 
-DPI = 120
+DPI, MOST_PIXELS = 120, 4e8
 LINES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1, 1, 1)), (0, (1, 1)), "-.", "--")  # for print
 STYLE: Any = matplotlib.rc_params_from_file(  # matplotlib types its keys one by one
     Path(__file__).with_name("cosim.mplstyle"), use_default_template=False
@@ -66,10 +66,11 @@ def keep_constant_flat(axis: Axes, values: Vector, nominal: float) -> None:
     """Widen the range around constant curves, whose numerical errors would fill the panel.
 
     A text says how large values are that look like 0. Values, (n,) or (n, curves), and the nominal
-    value have the unit of the vertical axis.
+    value have the unit of the vertical axis; values that are not finite do not count.
     """
-    if np.ptp(values) < max(1e-9 * nominal, 1e-6 * float(np.abs(values).max())):
-        middle, most = float(values.flat[0]), float(np.abs(values).max())
+    values = values[np.isfinite(values)]
+    if values.size and np.ptp(values) < max(1e-9 * nominal, 1e-6 * float(np.abs(values).max())):
+        middle, most = float(values[0]), float(np.abs(values).max())
         looks_zero = abs(middle) <= 1e-9 * nominal
         margin = nominal if looks_zero else 0.1 * abs(middle)
         axis.set_ylim(middle - margin, middle + margin)
@@ -86,10 +87,20 @@ def embedded(figure: Figure, alt: str) -> str:
 
 def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
     """Return the content of a picture file; the same figure gives the same bytes."""
+    width, height = figure.get_size_inches()
+    reject_pixels(width, height, dpi if kind == "png" else DPI)
     content = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "cosim"}):
         figure.savefig(content, format=kind, dpi=dpi, metadata=UNDATED[kind])
     return content.getvalue()
+
+
+def reject_pixels(width: float, height: float, dpi: float) -> None:
+    """Reject the size of a picture, inches, with no pixels or more than `MOST_PIXELS`."""
+    across, down = width * dpi, height * dpi
+    if not (min(across, down) >= 1 and across * down <= MOST_PIXELS):
+        size = f"{across:.4g} x {down:.4g}"
+        raise UsageError(f"a picture cannot have {size} pixels; change its size or dpi")
 
 
 def reject_formulas(texts: Iterable[str]) -> None:

@@ -87,7 +87,7 @@ class Violation(str):
 
     def __new__(cls, time: float, what: str, text: str | None = None) -> "Violation":
         """Return the text: by default "invalid from TIME s: WHAT"."""
-        self = super().__new__(cls, text or f"invalid from {time:g} s: {what}")
+        self = super().__new__(cls, text or f"invalid from {moment(time, 6)} s: {what}")
         self.time, self.what = time, what
         return self
 
@@ -131,7 +131,7 @@ class Ending(str):
 
     def after(self, time: float | None) -> "Ending":
         """Return the status of a run: this text with the last time of a result, s, or None."""
-        last = "the start" if time is None else f"{time:g} s"
+        last = "the start" if time is None else f"{moment(time, 6)} s"
         return Ending(f"stopped after {last}: {self}", self.kind)
 
     def __reduce__(self) -> tuple[type["Ending"], tuple[str, EndKind, str]]:
@@ -139,10 +139,16 @@ class Ending(str):
 
 
 def short_reason(reason: str) -> str:
-    """Return a reason, with three digits of its time if it is a `Violation`."""
+    """Return a reason, with few digits of its time if it is a `Violation`."""
     if not isinstance(reason, Violation) or reason.what == reason:
         return reason
-    return f"invalid from {reason.time:.3g} s: {reason.what}"
+    return f"invalid from {moment(reason.time)} s: {reason.what}"
+
+
+def moment(time: float, digits: int = 3) -> str:
+    """Return a time, s, with a few digits, and at least with hundredths from 1 s on."""
+    short = abs(time) < 10 ** (digits - 2)
+    return f"{time:.{digits}g}" if short else f"{time:.2f}".rstrip("0").rstrip(".")
 
 
 def csv_cell(text: str) -> str:

@@ -288,6 +288,20 @@ def test_recorded_catalogue_is_that_of_the_models():
     assert [*recorded] == [*casadi_models.CATALOG]
 
 
+@pytest.mark.slow
+def test_endings_of_files_may_be_capitals(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "crank_shaft", "-o", "A.FMU", "-q"]) == 0
+    assert main(["simulate", "A.FMU", "--stop-time", "0.02", "--outputs", "T", "-o", "A.CSV"]) == 0
+    assert main(["plot", "A.CSV", "-o", "A.PNG", "-q"]) == 0
+    (tmp_path / "A.TOML").write_text('model = "crank_shaft"\noutputs = ["T"]\n')
+    assert main(["info", "A.TOML"]) == 0
+    assert "\nscene        A\n" in f"\n{capsys.readouterr().out}"
+    times = "--solvers erk --tolerances 1e-3 --backends native --repeats 0 --stop-time 0.1"
+    assert main(["tradeoff", "A.TOML", *times.split(), "-o", "A.JSON"]) == 0
+    assert json.loads((tmp_path / "A.JSON").read_text())
+
+
 def test_list_needs_no_casadi():
     code = (
         "import sys\nfrom cosim.cli.main import main\nmain(['list'])\n"

@@ -63,6 +63,17 @@ def test_every_model_has_a_pose_and_every_sign_a_variable(name):
     assert not all(sign.turns for sign in pose.signs)  # loads too
 
 
+def test_only_loads_have_a_positive_direction_beside_angles():
+    model = Model("hung", stop_time=1.0)
+    z = model.state("z", "m", 0.1, "place")
+    k = model.parameter("k", "N/m", 2.0, "stiffness")
+    push = model.input("push", "N", 0.0, "on the mass")
+    model.derivative(z, -k * z + push)
+    model.shape("mass", "sphere", 0.1)
+    model.arrow("spring", ca.SX.zeros(3), ca.vertcat(push, 0, -k * z), "on the mass")
+    assert [sign.names for sign in start_pose(model.freeze()).signs] == [("push",)]
+
+
 def test_a_model_without_shapes_has_none():
     model = Model("bare", description="bare", source="a test")
     x = model.state("x", "1", 1.0, "x")

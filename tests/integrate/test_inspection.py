@@ -29,6 +29,19 @@ def test_model_without_a_start_is_shown_without_numbers():
     assert inspect_start(model.freeze()).margins == (None,)
 
 
+def test_info_of_a_scene_is_that_of_its_start_time():
+    model = Model("aged", stop_time=1.0)
+    x = model.state("x", "1", 1.0, "a number")
+    model.derivative(x, 0)
+    model.limit(3 - model.t, "it is young")
+    model.start(x, 2 * model.t, "it has grown")
+    info = cosim.info(cosim.Scene("late", cosim.requested(model.freeze(), start_time=5.0)))
+    assert info.facts["span"] == "5 ... 6 s"
+    assert info.limits == ((-2.0, "it is young"),)
+    assert info.tables["states"][0]["start"] == 10.0
+    assert not [line for line in str(info).splitlines() if line.strip() in ("title", "source")]
+
+
 def test_info_shows_conditions_and_margins(capsys):
     assert main(["info", "bicycle/multipliers"]) == 0
     shown = capsys.readouterr().out

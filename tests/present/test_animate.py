@@ -19,9 +19,11 @@ from cosim.coupling.files import read_system
 from cosim.drawing.camera import View, scale_of
 from cosim.drawing.meshes import arrow, joined, mesh_of
 from cosim.drawing.picture import SIZE, Stage, canvas, draw_pose
+from cosim.drawing.pose import POINT
 from cosim.errors import ExportError, MissingTool, UnknownName, UsageError
 from cosim.present.playback.animate import Animation, animate, drawing_of
 from cosim.present.playback.playback import playback
+from cosim.trajectory import Column, Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +55,8 @@ def test_page_holds_bodies_loads_paths_curves_and_validity(invalid):
     [recorded] = facts["runs"]
     assert recorded["invalid_from"] == pytest.approx(0.5)
     assert recorded["reasons"][0] == "not fulfilled: the disk turns by less than 2 rad"
-    packed = gzip.decompress(base64.b64decode(recorded["packed"]))
-    n, m, width = (recorded[name] for name in ("n", "m", "width"))
-    assert width == 12 * 2 + 2 * 6 + 3
-    numbers = np.frombuffer(packed, "<f4")
-    assert len(numbers) == n * (1 + width) + m * (1 + len(facts["columns"]))
-    curves = numbers[n * (1 + width) + m :].reshape(-1, m)
+    assert recorded["width"] == 12 * 2 + 2 * 6 + 3
+    _, *curves = curves_of(recorded)
     for column, values in zip(facts["columns"], curves, strict=True):
         np.testing.assert_allclose(values, invalid[column["name"]], rtol=1e-6)
 
@@ -67,10 +65,92 @@ def test_times_of_a_page_are_exact_far_from_zero():
     """Near 1e6 s, floats of 4 bytes are 0.06 s apart."""
     run = cosim.simulate("crank_shaft", start_time=1e6, stop_time=1e6 + 0.1)
     [recorded] = facts_of(animate(run).page)["runs"]
+    np.testing.assert_allclose(curves_of(recorded)[0], run.time, rtol=0, atol=1e-8)
+
+
+def curves_of(recorded):
+    """Return the times and the curves of a recorded run."""
+    n, m, width = (recorded[name] for name in ("n", "m", "width"))
     numbers = np.frombuffer(gzip.decompress(base64.b64decode(recorded["packed"])), "<f4")
-    first = recorded["n"] * (1 + recorded["width"])
-    shown = recorded["begin"] + numbers[first : first + recorded["m"]].astype(float)
-    np.testing.assert_allclose(shown, run.time, rtol=0, atol=1e-8)
+    own = numbers[n * (1 + width) :].reshape(-1, m).astype(float)
+    bases, sizes = (np.array(recorded[key])[1 + width :, None] for key in ("bases", "sizes"))
+    assert len(own) == len(bases)
+    return bases + sizes * own
+
+
+def numbers_over_time(**values):
+    """Return a run of made-up numbers, drawn as a point."""
+    columns = tuple(Column(name, "1") for name in values)
+    table = np.column_stack([np.array(v, dtype=float) for v in values.values()])
+    time = np.linspace(0.0, 1.0, len(table))
+    return Trajectory("numbers", time, columns, table, drawing=POINT, numbers={})
+
+
+@pytest.mark.filterwarnings("error")
+def test_curves_of_a_page_hold_numbers_of_any_size_and_small_changes_of_large_ones():
+    swing = np.sin(np.arange(20.0))
+    sizes = {"late": 1e9 + 1e-3 * swing, "tiny": 1e-200 * swing, "huge": 1e300 * swing}
+    run = numbers_over_time(**sizes, gap=np.where(swing > 0, swing, np.nan), zero=0 * swing)
+    _, *curves = curves_of(facts_of(animate(run).page)["runs"][0])
+    for found, name in zip(curves, run.names, strict=True):
+        span = np.ptp(run[name][np.isfinite(run[name])])
+        np.testing.assert_allclose(found, run[name], rtol=1e-15, atol=1e-7 * span, err_msg=name)
+    assert not curves[-1].any()
+
+
+@pytest.mark.parametrize(
+    ("values", "chosen"),
+    [
+        ({"a": [0.0, 0.0], "b": [1.0, 1.0]}, [0, 1]),
+        ({"a": [1.0], "b": [2.0]}, [0, 1]),
+        ({"a": [2.0, 2.0, 2.0], "b": [0.0, np.nan, 1.0]}, [1]),
+    ],
+)
+def test_a_page_shows_curves_at_first_even_of_a_run_at_rest_or_with_gaps(values, chosen):
+    assert facts_of(animate(numbers_over_time(**values)).page)["chosen"] == chosen
+
+
+def with_number(run, name, rows, number=np.nan):
+    values = np.array(run.values)
+    values[rows, run.names.index(name)] = number
+    return replace(run, values=values)
+
+
+def test_a_page_leaves_out_the_times_at_which_bodies_have_no_place(run):
+    [whole] = facts_of(animate(run).page)["runs"]
+    gap = with_number(run, "angle", slice(40, 60))
+    note = "the places of the bodies are not finite; such times are left out"
+    with pytest.warns(UserWarning, match=note):
+        [recorded] = facts_of(animate(gap).page)["runs"]
+    assert 0.7 <= recorded["n"] / whole["n"] < 0.8
+    nowhere = with_number(run, "angle", slice(None))
+    with pytest.raises(UsageError, match="at 0 s the places of the bodies are not finite; draw"):
+        animate(nowhere)
+    with pytest.raises(UsageError, match=r"at 0\.5 s the places of the bodies"):
+        animate(gap, "x.png", at=[0.5])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_an_arrow_without_a_number_is_not_drawn(number, tmp_path):
+    gap = with_number(cosim.simulate("crank_shaft", stop_time=0.1), "fx_A", 5, number)
+    assert animate(gap, tmp_path / "x.html").stat().st_size > 1e5
+    assert animate(gap, tmp_path / "x.png").stat().st_size > 1e4
+
+
+def test_a_further_run_without_output_times_is_rejected(run):
+    empty = replace(run, time=run.time[:0], values=run.values[:0])
+    with pytest.raises(UsageError, match="the run has no output times"):
+        animate([run, empty])
+
+
+@pytest.mark.parametrize("look", [{"dpi": 0}, {"size": (0, 3)}, {"size": (-1, -1)}, {"dpi": 1e9}])
+@pytest.mark.parametrize("ending", ["png", "gif"])
+def test_a_picture_with_no_pixels_or_too_many_is_rejected(run, look, ending, tmp_path):
+    with pytest.raises(
+        UsageError, match=r"a picture cannot have .* pixels; change its size or dpi"
+    ):
+        animate(run, tmp_path / f"x.{ending}", **look)
 
 
 def facts_of(page):
@@ -151,6 +231,25 @@ def test_movie_has_every_frame(run, tmp_path, kind):
             assert movie.size == (180, 120)
     else:
         assert path.read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize(
+    ("interval", "speed", "length"), [(0.01, 1.0, 1.0), (0.01, 0.3, 3.3), (0.007, 1.0, 1.0)]
+)
+@pytest.mark.parametrize("rate", [4.0, 90.0])
+def test_a_gif_lasts_as_long_as_its_run_in_pictures_that_browsers_show(
+    rate, interval, speed, length, tmp_path
+):
+    run = cosim.simulate(spinning(rate), stop_time=1.0, output_interval=interval, compiled=False)
+    path = animate(run, tmp_path / "x.gif", size=(1, 1), dpi=20, speed=speed)
+    with Image.open(path) as movie:
+        lengths = []
+        for i in range(movie.n_frames):
+            movie.seek(i)
+            lengths.append(movie.info["duration"] / 1000)
+    assert min(lengths) >= 0.02
+    # the first picture and the last one count, too
+    assert sum(lengths[:-1]) == pytest.approx(length, abs=0.03 + lengths[-1])
 
 
 def pixels(figure):

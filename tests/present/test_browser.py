@@ -13,6 +13,7 @@ from cosim.drawing.camera import Camera, View, camera_for, scale_of
 from cosim.present.playback.animate import animate
 from cosim.present.playback.page import DISTANCE, page
 from cosim.present.playback.playback import playback
+from cosim.trajectory import Column, Trajectory
 
 SYSTEMS = {
     "crank_shaft": "alpha",
@@ -370,3 +371,73 @@ def test_a_page_scales_arrows_as_a_picture_does(tmp_path):
     run = cosim.simulate(dae, start_values={"phi_dot": 2.5})
     expected = scale_of([playback(run, run.drawing, times=run.time)], None).per_unit["N"]
     assert asked(page_of_falls, code, tmp_path) == pytest.approx(expected, rel=1e-3)
+
+
+def made_up(begin, span, values):
+    """Return a run without bodies."""
+    time = begin + span * np.linspace(0.0, 1.0, len(values))
+    run = Trajectory("made up", time, (Column("a", "1"),), np.array(values, dtype=float)[:, None])
+    return replace(run, drawing=Drawing())
+
+
+@pytest.mark.parametrize(
+    ("begin", "span", "now", "legend", "first"),
+    [
+        (0.0, 1e-9, "5.0000e-10 s", "5e-10 s", ["0", "1e-10", "2e-10"]),
+        (0.0, 1e-3, "0.000500 s", "0.0005 s", ["0", "0.0001", "0.0002"]),
+        (0.0, 20.0, "10.00 s", "10 s", ["0", "1", "2"]),
+        (1e9, 1.0, "1000000000.50 s", "1000000000.5 s", ["1000000000", "1000000000.1"]),
+    ],
+)
+def test_times_of_a_page_can_be_told_apart(begin, span, now, legend, first, tmp_path):
+    path = animate(made_up(begin, span, [0, 1, 0]), tmp_path / "x.html")
+    code = f"""
+        player.go(player.begin + {span} / 2);
+        {FRAMES}
+        const [x] = player.curves.charts[0].plot.axes, size = 14 * x._values.length;
+        return [document.getElementById("now").textContent, x._values,
+                document.querySelector(".u-legend .u-value").textContent];
+    """
+    shown, ticks, beside = asked(path, code, tmp_path)
+    assert (shown, beside) == (now, legend)
+    ticks = [tick for tick in ticks if tick]
+    assert len(set(ticks)) == len(ticks) > 3
+    assert {*first} <= {*ticks}
+
+
+@pytest.mark.parametrize(
+    ("values", "low", "high"),
+    [
+        ([1e-30, -1e-30], -1.2e-30, 1.2e-30),
+        ([1000.0, 1000.2], 999.98, 1000.22),
+        ([5.0, 5.0 + 1e-12], 4.5, 5.5),
+        ([0.0, 0.0], -1, 1),
+        ([0.5], 0.45, 0.55),
+    ],
+)
+def test_charts_fit_values_of_any_size(values, low, high, tmp_path):
+    path = animate(made_up(0.0, 1.0, values), tmp_path / "x.html")
+    code = f"""
+        {FRAMES}
+        const [{{ plot }}] = player.curves.charts, {{ scales, axes, series }} = plot;
+        return [scales.y.min, scales.y.max, axes[1]._values, series[1].points.show];
+    """
+    *found, ticks, points = asked(path, code, tmp_path)
+    assert found == pytest.approx([low, high], rel=1e-6)
+    assert len(set(ticks)) == len(ticks)
+    assert bool(points) is (len(values) == 1)
+
+
+def test_an_event_at_the_end_of_a_run_is_named(tmp_path):
+    """Times of frames are floats of 4 bytes, which may lie before it."""
+    model = cosim.Model("ball", stop_time=1.0)
+    h, v = model.state("h", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    bounces = model.discrete("bounces", "1", 0, "number of impacts")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -0.7 * v, bounces: bounces + 1}, name="impact")
+    model.stop(bounces > 0, "it has bounced")
+    run = cosim.simulate(model.freeze(), record_events=True)
+    path = animate(run, tmp_path / "x.html")
+    code = f"player.go(player.end); {FRAMES} return document.getElementById('facts').textContent"
+    assert "impact" in asked(path, code, tmp_path)

@@ -51,6 +51,32 @@ def test_curves_of_a_panel_stand_in_one_unit():
     np.testing.assert_allclose([y[0] for y in curves(axis)], [1, 1])
 
 
+def test_a_run_of_a_single_row_is_seen():
+    run = made_up(a=[POUND])
+    spec = FigureSpec("F", (("a",),))
+    for figure in (run.plot(), *draw_figures([spec], run), *draw_figures([spec], run, run)):
+        for axis in figure.axes:
+            assert {line.get_marker() for line in axis.get_lines()} == {"."}
+
+
+def test_a_run_without_rows_has_empty_panels():
+    run = replace(made_up(a=[POUND]), time=np.empty(0), values=np.empty((0, 1)))
+    for figure in (run.plot(), *draw_figures([FigureSpec("F", (("a",),))], run)):
+        assert len(figure.axes) == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("gap", [np.nan, np.inf])
+def test_gaps_in_a_constant_neither_widen_it_nor_hide_that_runs_are_equal(gap):
+    run = made_up(a=[POUND, gap, POUND, POUND * (1 + 1e-12)])
+    panel, below = draw_figures([FigureSpec("F", (("a",),))], run, run)[0].axes
+    np.testing.assert_allclose(panel.get_ylim(), [0.9, 1.1], rtol=1e-9)
+    assert [text.get_text() for text in below.texts] == ["exactly zero"]
+    nowhere = made_up(a=[np.nan, np.nan])
+    _, below = draw_figures([FigureSpec("F", (("a",),))], nowhere, nowhere)[0].axes
+    assert not below.texts
+
+
 def test_curves_stand_in_display_units_under_their_title():
     run = made_up(a=[0.0, POUND, 2 * POUND])
     (figure,) = draw_figures([FigureSpec("Force at A", (("a",),))], run)

@@ -67,6 +67,20 @@ def test_page_says_why_a_run_cannot_start(tmp_path):
     assert "mB" in " ".join(found["reasons"])
 
 
+@pytest.mark.parametrize(
+    ("start", "size", "expected"), [(0.0, 1.0, 2.0), (-5.0, 1.0, 2.0), (3e-9, 1e-9, 2e-9)]
+)
+def test_start_value_of_an_output_is_reached_from_any_start(start, size, expected, tmp_path):
+    model = cosim.Model("shifted", stop_time=1.0)
+    v = model.state("v", "m/s", start, "speed")
+    model.derivative(v, 0)
+    model.output("flow", "m/s", 5 * size + v + (v / size) ** 3 * size / 10, "speed past a belt")
+    model.start_through(v, "flow")
+    found = computed(model.freeze(), {"flow": 7.8 * size}, tmp_path)
+    [[v, *_]] = [x for name, x in zip(found["names"], found["values"], strict=True) if name == "v"]
+    assert v == pytest.approx(expected, rel=1e-9)
+
+
 def test_start_value_of_an_output_is_reached_as_in_a_simulation(tmp_path):
     dae = cosim.load("bicycle")
     found = computed(dae, {"speed": 3.5, "rR": 0.32}, tmp_path)

@@ -1,5 +1,7 @@
 """Poses of a run: where bodies are, how fast they may turn between frames, what is missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.scenes import spinning
@@ -72,6 +74,32 @@ def test_times_outside_the_run_are_rejected():
     run = cosim.simulate(spinning(1.0), stop_time=1.0, compiled=False)
     with pytest.raises(UsageError, match=r"3 s lies outside the run, 0 \.\.\. 1 s"):
         playback(run, run.drawing, times=[0.5, 3.0])
+
+
+@pytest.mark.parametrize(("begin", "span"), [(0.0, 1e-9), (1e9, 1.0), (-5.0, 1e-3)])
+def test_times_of_a_picture_are_those_of_the_run_up_to_rounding(begin, span):
+    run = cosim.simulate(spinning(1.0), stop_time=1.0, compiled=False)
+    run = replace(run, time=begin + span * run.time)
+    end = begin + span
+    played = playback(run, run.drawing, times=[begin, np.nextafter(end, np.inf)])
+    assert played.time.tolist() == [begin, run.time[-1]]
+    for outside in (begin - 0.1 * span, end + 0.1 * span, np.nan):
+        with pytest.raises(UsageError, match="lies outside the run"):
+            playback(run, run.drawing, times=[outside])
+
+
+@pytest.mark.parametrize(
+    ("times", "frame", "text"),
+    [
+        ([0.0, 0.04, 0.08], 2, "t = 0.08 s"),
+        ([1.5], 0, "t = 1.50 s"),
+        ([0.0, 0.0], 0, "t = 0.00 s"),
+        ([0.0, 2e-9, 4e-9], 1, "t = 0.000000002 s"),
+    ],
+)
+def test_time_beside_a_picture_has_the_digits_that_tell_it_from_the_next(times, frame, text):
+    run = cosim.simulate(spinning(1.0), stop_time=2.0, compiled=False)
+    assert playback(run, run.drawing, times=times).label_text(frame) == text
 
 
 def test_labels_are_in_display_units():

@@ -27,6 +27,15 @@ def test_error_falls_with_the_sixth_power_and_the_estimate_is_above_it():
     assert errors[0] / errors[1] == pytest.approx(64, rel=0.2)  # measured 62
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_samples_are_kept_beside_one_that_is_not_finite(number):
+    time = np.linspace(0, 1, 11)
+    values = np.where(np.arange(11) == 5, number, time)
+    found, _ = resample(time, values[:, None], time[[0, 4, 5, 6, 10]])
+    np.testing.assert_array_equal(found[:, 0], values[[0, 4, 5, 6, 10]])
+
+
 def test_jump_is_kept_and_both_sides_stay_their_own():
     time = np.array([0, 1, 2, 2, 3, 4.0])
     values = np.array([0, 1, 2, 10, 10, 10.0])[:, None]

@@ -64,7 +64,8 @@ def options_in(args: argparse.Namespace, *names: str) -> dict[str, Any]:
 
 def runs_natively(args: argparse.Namespace) -> bool:
     """Return whether the backend of a command line needs no FMU."""
-    return choice(Backend, "backend", getattr(args, "backend", None) or Backend.NATIVE).native
+    backend = getattr(args, "backend", None)
+    return choice(Backend, "backend", Backend.NATIVE if backend is None else backend).native
 
 
 def _with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
@@ -124,7 +125,7 @@ def named_scene(name: str) -> Scene:
     """Return a model as a scene without settings, or a scene by its file."""
     return (
         read_scene(name)
-        if name.endswith(".toml")
+        if name.lower().endswith(".toml")
         else Scene(name, RunRequest(load(name)), model=name)
     )
 

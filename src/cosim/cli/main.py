@@ -161,7 +161,8 @@ def _run_words(words: Sequence[str], *, own_process: bool) -> int:
     named = [value for name, value in vars(args).items() if name != "output_file"]
     given = [word for value in named for word in (value if isinstance(value, list) else [value])]
     runs_code = "trust" in args  # which verbs that run the code of files ask for
-    foreign = runs_code and any(isinstance(w, str) and w.endswith(".fmu") for w in given)
+    foreign = runs_code and any(isinstance(w, str) and w.lower().endswith(".fmu") for w in given)
+    args.words = [*words]
     if not foreign or not own_process:
         return _run_verb(args, foreign=foreign)
     from cosim.host.child import ending_orphans

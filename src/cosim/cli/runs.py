@@ -58,7 +58,7 @@ _OF_SYSTEMS = ("method", "macro_step")
 
 def scene_or_none(args: argparse.Namespace) -> Scene | None:
     """Return the scene of a command line; None for an FMU file and for a co-simulation."""
-    if args.model.endswith(".fmu"):
+    if args.model.lower().endswith(".fmu"):
         return None
     has_method = any(value is not None for value in options_in(args, *_OF_SYSTEMS).values())
     if is_system(args.model):  # co-simulation, or all parts as one model
@@ -88,7 +88,7 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
     try:
         if scene is not None:
             _reject(args, _OF_FMUS, "FMU files; a model has --backend and --solver")
-            run = run_scene(scene, args.backend or Backend.NATIVE)
+            run = run_scene(scene, Backend.NATIVE if args.backend is None else args.backend)
         else:
             run = _co_simulation(args) if is_system(args.model) else _fmu_run(args)
     except (SolverError, Interrupted) as error:
@@ -140,7 +140,7 @@ def _inputs_in(args: argparse.Namespace) -> dict[str, Any]:
 
     @cache
     def variable_of(name: str) -> Any:
-        if args.model.endswith(".fmu"):
+        if args.model.lower().endswith(".fmu"):
             return part_of("fmu", args.model).variables.get(name)
         system = read_system(args.model)
         (part, own), *_ = target(system.parts, system.connectors, name).ends[0]
@@ -200,7 +200,7 @@ def runs_of(
     scenes: list[Scene | None] = []
     worst = 0
     for source in args.sources:
-        if source.endswith(".csv"):
+        if source.lower().endswith(".csv"):
             model = args.shown_model
             like = None if model is None else model_columns(load(model))
             runs.append(Trajectory.read_csv(source, like=like))

@@ -26,9 +26,9 @@ def is_system(path: str | os.PathLike[str]) -> bool:
     FILE.ssp#VARIANT means a variant of an .ssp file.
     """
     file = Path(path)
-    if file.suffix == ".ssp" or _VARIANT.fullmatch(str(path)):
+    if file.suffix.lower() == ".ssp" or _VARIANT.fullmatch(str(path)):
         return True
-    if file.suffix == ".toml" and is_file(file):
+    if file.suffix.lower() == ".toml" and is_file(file):
         with suppress(CosimError):  # raised again where the file is read
             return "parts" in read_toml(file).data
     return False
@@ -40,7 +40,7 @@ def read_system(path: str | os.PathLike[str]) -> System:
     Raises:
         CosimError: See `couple` and `read_ssp`; a message names the line of a TOML file.
     """
-    if Path(path).suffix == ".ssp":
+    if Path(path).suffix.lower() == ".ssp":
         return read_ssp(path)
     if variant := _VARIANT.fullmatch(str(path)):
         return read_ssp(variant[1], variant=variant[2])

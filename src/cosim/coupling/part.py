@@ -127,7 +127,9 @@ def part_of(name: str, subject: object, folder: Path = Path()) -> Part:
     """
     if not is_name(name):
         raise UsageError(f"part {name!r}: use letters, digits and _ for the name of a part")
-    if isinstance(subject, os.PathLike) or (isinstance(subject, str) and subject.endswith(".fmu")):
+    if isinstance(subject, os.PathLike) or (
+        isinstance(subject, str) and subject.lower().endswith(".fmu")
+    ):
         path = folder / subject
         return Part(name, path, _of_fmu(path))
     if isinstance(subject, str):

@@ -65,7 +65,7 @@ class Camera:
             Triangles (m, 3, 2) and colors (m, 3).
         """
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         seen = self.seen(corners)
         facing = ((self.eye - corners.mean(axis=1)) * normals).sum(axis=1) > 0
         facing &= (seen[..., 2] > 0).all(axis=1)
@@ -139,6 +139,7 @@ def scale_of(runs: Sequence[Poses], follow: str | None) -> Scale:
         reach = _LONG_PATH * float(np.ptp(poses, axis=0).max())
         points += [part for run in runs for part in _framed_paths(run, reach)]
     everything = np.concatenate(points)
+    everything = everything[np.isfinite(everything).all(axis=1)]
     low, high = everything.min(axis=0), everything.max(axis=0)
     return Scale(
         points=everything,

@@ -20,6 +20,7 @@ from cosim.drawing.camera import HALF_ANGLE, LONGEST_ARROW, Camera, View, camera
 from cosim.drawing.meshes import Mesh, arrow, joined, mesh_of
 from cosim.drawing.pose import Poses, invalid_text
 from cosim.plotting import Picture
+from cosim.text import moment
 
 SIZE = (6.4, 4.8)  # of a picture, inches
 _PALE = 0.72  # share of white in the colors of ghosts
@@ -105,7 +106,9 @@ class Stage:
                 if len(frames) > 1 and i == 0:
                     flat = camera.seen(np.vstack(corners[begin:]).reshape(-1, 3))
                     middle = (flat[:, 0].min() + flat[:, 0].max()) / 2
-                    tops.append((middle, flat[:, 1].max() + 0.02, f"{run.time[frame]:.4g} s"))
+                    tops.append(
+                        (middle, flat[:, 1].max() + 0.02, f"{moment(run.time[frame], 4)} s")
+                    )
         if all(abs(a[0] - b[0]) > 0.3 or abs(a[1] - b[1]) > 0.1 for a, b in combinations(tops, 2)):
             for x, y, text in tops:  # if they would overlap, the title alone names the times
                 axis.text(x, y, text, fontsize=8, ha="center", zorder=6)
@@ -166,7 +169,7 @@ class Stage:
         if len(frames) == 1 or first.labels:
             lines += [first.label_text(frame) for frame in frames]
         else:
-            shown = ", ".join(f"{first.time[frame]:.4g}" for frame in frames)
+            shown = ", ".join(moment(first.time[frame], 4) for frame in frames)
             lines.append(f"t = {shown} s")
         lines += [f"pale: {run.title}" for run in self.runs[1:]]
         letters = max(20, int((self.inches - 0.25) * 15))  # in a line at 8 points

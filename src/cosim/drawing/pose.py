@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import ceil, inf, log10
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ from cosim.arrays import Truths, Vector
 from cosim.codegen.initialization import usual_start
 from cosim.errors import UsageError
 from cosim.series.samples import resample
+from cosim.text import moment
 
 # The drawing of a model without shapes, on pages that show its curves
 POINT = Drawing(
@@ -142,7 +143,8 @@ class Poses:
 
     def label_text(self, frame: int) -> str:
         """Return the time and the labeled variables at a frame, in display units."""
-        parts = [f"t = {self.time[frame]:.2f} s"]
+        gap = np.diff(self.time[:2]).sum() or abs(self.time[frame]) or 1.0
+        parts = [f"t = {self.time[frame]:.{max(2, ceil(-log10(gap)))}f} s"]
         parts += [f"{name} = {values[frame]:.4g} {unit}" for name, unit, values in self.labels]
         return ", ".join(parts)
 
@@ -153,7 +155,7 @@ def invalid_text(runs: Sequence[Poses], frame: int) -> str:
     for run in runs:
         if run.reasons and run.time[frame] >= run.invalid_from:
             owner = f"{run.title}: " if len(runs) > 1 else ""
-            found.append(f"{owner}invalid from {run.invalid_from:.3g} s: {run.reasons[0]}")
+            found.append(f"{owner}invalid from {moment(run.invalid_from)} s: {run.reasons[0]}")
     return " | ".join(found)
 
 
@@ -218,6 +220,7 @@ def poses_at(drawing: Drawing, values: Values, times: Vector) -> Poses:
         both = ca.vertcat(arrow.at, arrow.vector)
         if available(arrow.name, both):
             found = values.evaluate(both, times)
+            found[~np.isfinite(found).all(axis=1), 3:] = 0.0  # is not drawn
             loads.append(Load(arrow.name, found[:, :3], found[:, 3:], arrow.unit,
                               arrow.display_unit, arrow.meaning, arrow.color))  # fmt: skip
     for trace in drawing.traces:
@@ -294,7 +297,7 @@ def start_pose(dae: Dae) -> StartPose | None:
     values = Values(np.zeros(1), unknown | dict(drawing.numbers) | _start_values(dae))
     with np.errstate(invalid="ignore"):  # not a number: returned as None
         poses = poses_at(bodies, values, values.time)
-    signs = [*_turns(dae, poses, values), *_positive_loads(drawing, values)]
+    signs = [*_turns(dae, poses, values), *_positive_loads(dae, values)]
     size = _extent(poses)
     merged = tuple(_merged(signs, [v.name for v in dae.variables], size))
     numbers = [poses.places, poses.rotations, *(sign.at for sign in merged)]
@@ -329,13 +332,14 @@ def _start_values(dae: Dae) -> dict[str, float]:
     return values | dict(zip(names, solved.tolist(), strict=True))
 
 
-def _positive_loads(drawing: Drawing, values: Values) -> Iterator[Sign]:
+def _positive_loads(dae: Dae, values: Values) -> Iterator[Sign]:
     """Yield the direction of each load component that enters its arrow linearly."""
-    for arrow in drawing.arrows:
+    others = {v.name for v in (*dae.states, *dae.parameters)}
+    for arrow in dae.drawing.arrows:
         at = values.first(arrow.at).ravel()
         for symbol in ca.symvar(arrow.vector):
             direction = ca.jacobian(arrow.vector, symbol)
-            if not ca.depends_on(direction, symbol):
+            if symbol.name() not in others and not ca.depends_on(direction, symbol):
                 yield Sign((symbol.name(),), False, at, values.first(direction).ravel())
 
 

@@ -201,29 +201,32 @@ class Inspection:
     """Monitors and validity margins at the initial values; None if these do not exist.
 
     Attributes:
+        x, z: The initial values.
         monitors: Condition numbers, distances and drift, in the order of `Dae.monitors`; infinite
             at a singularity.
         margins: In the order of `Dae.limits`, in the unit of the limited quantity; the model is
             valid while every margin is positive.
     """
 
+    x: Vector | None
+    z: Vector | None
     monitors: tuple[float | None, ...]
     margins: tuple[float | None, ...]
 
 
-def inspect_start(dae: Dae) -> Inspection:
+def inspect_start(dae: Dae, begin: float = 0.0) -> Inspection:
     """Evaluate the monitors and validity margins of a model at its own initial values."""
     n = len(dae.monitors)
     expressions = [e for _, e in dae.monitors] + [margin for margin, _ in dae.limits]
     values = assign(dae)
     try:
-        x, z = consistent_values(dae, 0.0, values)
+        x, z = consistent_values(dae, begin, values)
     except InitialConditionError:  # a run reports it
-        return Inspection((None,) * n, (None,) * len(dae.limits))
+        return Inspection(None, None, (None,) * n, (None,) * len(dae.limits))
     column = ca.vertcat(ca.SX(0, 1), *expressions)
     function = ca.Function("inspect", dae.arguments, [column])
-    found = np.array(function(0.0, x, z, values.u, values.p)).ravel().tolist()
-    return Inspection(tuple(found[:n]), tuple(found[n:]))
+    found = np.array(function(begin, x, z, values.u, values.p)).ravel().tolist()
+    return Inspection(x, z, tuple(found[:n]), tuple(found[n:]))
 
 
 _COARSE = 1.5  # of the model's own output interval, which resolves the branches of its motion

@@ -98,7 +98,7 @@ def checked_grid(grid: ArrayLike) -> Vector:
         i = int(falling[0]) + 1
         raise ParameterError(
             f"grid: time {i} ({times[i]:.17g} s) is not after the one before it; give times that "
-            "increase and that double precision can tell apart"
+            f"increase from {times[0]:.17g} s on and that double precision can tell apart"
         )
     return times
 

@@ -28,6 +28,7 @@ from cosim.plotting import (
     shade_invalid,
 )
 from cosim.scene.scene import FigureSpec
+from cosim.text import moment
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import apart, reject_other_times
 
@@ -50,7 +51,7 @@ def draw_panels(run: Trajectory) -> Figure:
         axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
         for i, (axis, column) in enumerate(zip(axes, run.columns, strict=False)):
             values = _displayed(run, column.name)
-            axis.plot(run.time, values, linewidth=1.2, color=CURVES[0])
+            axis.plot(run.time, values, linewidth=1.2, color=CURVES[0], marker=_mark(run))
             axis.set_title(fill(column.meaning or column.name, 52), fontsize=9)
             axis.set_ylabel(f"{column.name} [{column.shown_unit}]")
             axis.set_xlabel("time [s]" if i >= len(run.names) - across else "")
@@ -334,7 +335,7 @@ def _panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory])
             look = _look(i, len(names), k, len(runs))
             if k < len(runs) - 1:  # what is drawn over it stays visible
                 look |= {"linewidth": 2.2, "alpha": 0.5}
-            axis.plot(over, values, label="" if k else legend, **look)
+            axis.plot(over, values, label="" if k else legend, marker=_mark(run), **look)
     if spec.x != "time":
         for run, name in product(runs, names):
             bad = run.time >= run.validity[0]
@@ -358,11 +359,14 @@ def _difference_panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[T
     first = runs[0].column(names[0])
     for k, other in enumerate(runs[1:], start=1):
         for i, (name, legend) in enumerate(zip(names, legends, strict=True)):
-            gap = _displayed(other, name, first) - _displayed(runs[0], name, first)
+            with np.errstate(invalid="ignore"):  # infinity less infinity
+                gap = _displayed(other, name, first) - _displayed(runs[0], name, first)
             look = _look(i, len(names), k, len(runs))
-            axis.plot(runs[0].time, gap, linewidth=0.9, label=legend if k == 1 else "", **look)
+            look |= {"label": legend if k == 1 else "", "marker": _mark(other)}
+            axis.plot(runs[0].time, gap, linewidth=0.9, **look)
     axis.set_ylabel(_beside("difference", first.shown_unit, 16))
-    if not any(np.any(line.get_ydata()) for line in axis.lines):
+    drawn = np.hstack([np.asarray(line.get_ydata(), dtype=float) for line in axis.lines])
+    if np.isfinite(drawn).any() and not np.any(drawn, where=np.isfinite(drawn)):
         axis.set_ylim(-1, 1)
         axis.set_yticks([0.0])
         axis.text(0.5, 0.75, "exactly zero", transform=axis.transAxes, ha="center", fontsize=8)
@@ -385,7 +389,7 @@ def _name_invalid(
             shade_invalid(axis, run.time, start)
         if reasons:
             more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
-            text = f"shaded: invalid from {start:.3g} s: {reasons[0]}{more}"
+            text = f"shaded: invalid from {moment(start)} s: {reasons[0]}{more}"
             text = f"{label}, {text}" if len(runs) > 1 else text
             letters = int(figure.get_figwidth() * 15)
             captions.append(fill(text, letters, max_lines=4, placeholder=" ..."))
@@ -418,6 +422,10 @@ def _displayed(run: Trajectory, name: str, like: Column | None = None) -> Vector
         if own is not None and other is not None and own.measures_like(other):
             column = replace(column, display_unit=like.shown_unit, display_factor=None)
     return column.shown(run[name])
+
+
+def _mark(run: Trajectory) -> str:
+    return "." if len(run) < 2 else ""  # a single point makes no line
 
 
 def _displayed_nominal(column: Column) -> float:

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -10,15 +9,13 @@ from typing import Any
 
 from casadi_models.dae import Dae, Start, Variable
 from cosim.arrays import Vector
-from cosim.errors import FmuError, InitialConditionError
+from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
 from cosim.fmi.run.typed_values import NUMERIC
-from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.passed_over import watched_terms
 from cosim.integrate.validity import inspect_start
 from cosim.model.catalogue import load
-from cosim.model.values import assign
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.text import MOST_LINES, html_table, text_table
@@ -64,7 +61,7 @@ class Info:
     def text(self, width: int | None = None) -> str:
         """Return everything as text, in lines of up to `width` letters."""
         wide = max(11, *map(len, self.facts))
-        parts = ["\n".join(f"{key:{wide}}  {value}" for key, value in self.facts.items())]
+        parts = ["\n".join(f"{key:{wide}}  {value}" for key, value in self.facts.items() if value)]
         parts += [f"{title}\n{text_table(rows, width=width)}" for title, rows in self._shown()]
         return "\n\n".join(parts)
 
@@ -87,7 +84,7 @@ class Info:
         return "\n".join(lines if left <= 1 else cut)
 
     def _repr_html_(self) -> str:
-        facts = html_table([{"of": key, "is": value} for key, value in self.facts.items()])
+        facts = html_table([{"of": key, "is": value} for key, value in self.facts.items() if value])
         return facts + "".join(html_table(rows, title) for title, rows in self._shown())
 
 
@@ -108,9 +105,9 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
     """
     if isinstance(source, os.PathLike):
         source = os.fspath(source)
-    if isinstance(source, str) and source.endswith(".fmu"):
+    if isinstance(source, str) and source.lower().endswith(".fmu"):
         return _fmu_info(Path(source))
-    if isinstance(source, str) and source.endswith(".toml"):
+    if isinstance(source, str) and source.lower().endswith(".toml"):
         source = read_scene(source)
     if isinstance(source, Scene):
         return _of_scene(source)
@@ -118,7 +115,7 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
 
 
 def _of_scene(scene: Scene) -> Info:
-    of_model = _of_model(scene.request.configured())
+    of_model = _of_model(scene.request.configured(), scene.request.times.start)
     own = {row["of the scene"]: row["is"] for row in scene.rows()}
     facts = {"scene": scene.name, "title": scene.title, **own} | {
         key: value for key, value in of_model.facts.items() if key != "model"
@@ -126,13 +123,11 @@ def _of_scene(scene: Scene) -> Info:
     return Info(facts, of_model.tables, of_model.limits)
 
 
-def _of_model(dae: Dae) -> Info:
-    x = z = None
-    with suppress(InitialConditionError):  # `simulate` reports the reason
-        x, z = consistent_values(dae, 0.0, assign(dae))
+def _of_model(dae: Dae, begin: float = 0.0) -> Info:
+    start = inspect_start(dae, begin)
     groups = {
-        "states": _variable_rows(dae.states, x),
-        "algebraic unknowns": _variable_rows(dae.algebraics, z),
+        "states": _variable_rows(dae.states, start.x),
+        "algebraic unknowns": _variable_rows(dae.algebraics, start.z),
         "inputs": _variable_rows(dae.inputs),
         "parameters": _variable_rows(dae.parameters),
         "outputs": _variable_rows(dae.output_variables),
@@ -141,7 +136,7 @@ def _of_model(dae: Dae) -> Info:
         "model": dae.full_name,
         "description": dae.description,
         "source": dae.source,
-        "span": f"0 ... {dae.experiment.stop_time:g} s",
+        "span": f"{begin:.12g} ... {begin + dae.experiment.stop_time:.12g} s",
         "equations": f"{len(dae.states)} differential, {len(dae.algebraics)} algebraic, "
         f"{dae.operations()} scalar operations",
     }
@@ -152,7 +147,6 @@ def _of_model(dae: Dae) -> Info:
     for title, names in zip(titles, watched_terms(dae), strict=True):
         if names:
             facts[title] = "; ".join(f"of {name}" for name in names)
-    start = inspect_start(dae)
     monitors = zip(dae.monitors, start.monitors, strict=True)
     groups["conditions"] = [
         {"name": v.name, "at the start": value, "meaning": v.meaning} for (v, _), value in monitors

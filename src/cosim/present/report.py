@@ -35,7 +35,7 @@ from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import linearize
-from cosim.text import html_table
+from cosim.text import counted, html_table, moment
 from cosim.trajectory import Trajectory
 
 _FEW = 20  # lines that are not folded
@@ -86,7 +86,7 @@ def _validity(run: Trajectory) -> str:
     if not reasons:
         return ""
     why = html.escape("; ".join(reasons))
-    return f'<p class="invalid">invalid from {start:.3g} s: {why}</p>'
+    return f'<p class="invalid">invalid from {moment(start)} s: {why}</p>'
 
 
 def _system(c: ReportContents) -> Iterable[str]:
@@ -97,7 +97,7 @@ def _system(c: ReportContents) -> Iterable[str]:
     counts = size(c.dae)
     facts["equations"] = (
         f"{counts.states} differential, {counts.algebraics} algebraic; {counts.operations} scalar "
-        f"operations with {counts.outputs} outputs"
+        f"operations with {counted(counts.outputs, 'output')}"
     )
     facts["states"] = ", ".join(v.name for v in c.dae.states)
     if c.dae.algebraics:
@@ -303,7 +303,7 @@ def _origin_section(c: ReportContents) -> Iterable[str]:
 
 
 def _facts_table(facts: Mapping[str, Any]) -> str:
-    shown = [(html.escape(key), html.escape(str(value))) for key, value in facts.items()]
+    shown = [(html.escape(key), html.escape(str(value))) for key, value in facts.items() if value]
     rows = "".join(f"<tr><th>{key}</th><td>{value}</td></tr>" for key, value in shown)
     return f"<table>{rows}</table>"
 

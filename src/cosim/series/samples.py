@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.units import converted, parse_unit
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.errors import ParameterError, naming_arguments_of
 from cosim.series.curves import Curves
 from cosim.text import MOST_LINES, MOST_NAMES, Table, shortened, text_table
@@ -139,8 +139,8 @@ def resample(
     """
     twice = time[1:][np.diff(time) == 0]
     breaks = np.setdiff1d(np.empty(0) if breaks is None else breaks, twice)
-    five, three = (_local(time, values, at, *degree, breaks) for degree in ((6, 0), (4, 1)))
     with np.errstate(invalid="ignore"):  # infinity less infinity
+        five, three = (_local(time, values, at, *degree, breaks) for degree in ((6, 0), (4, 1)))
         gap = np.abs(five - three)
     return five, gap.max(axis=0, initial=0.0)
 
@@ -158,8 +158,7 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
     if not len(span):
         raise ParameterError(f"{owner}: the run has no output times to interpolate")
     begin, end = float(span[0]), float(span[-1])
-    slack = 1e-9 * (end - begin) + 4 * np.spacing(max(abs(begin), abs(end)))
-    inside = (requested >= begin - slack) & (requested <= end + slack)
+    clipped, inside = clipped_times(span, requested)
     if requested.ndim > 1 or not inside.all():
         first = (
             requested[~inside].flat[0] if requested.size and not inside.all() else requested.shape
@@ -170,8 +169,14 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
         )
     if (np.diff(np.atleast_1d(requested)) < 0).any():
         raise ParameterError(f"{owner}: times decrease; give them in increasing order")
-    clipped: Vector = np.clip(requested, begin, end)
     return clipped
+
+
+def clipped_times(span: Vector, times: Vector) -> tuple[Vector, Truths]:
+    """Return times clipped to a span, and whether each is within it up to rounding."""
+    begin, end = float(span[0]), float(span[-1])
+    slack = 1e-9 * (end - begin) + 4 * np.spacing(max(abs(begin), abs(end)))
+    return np.clip(times, begin, end), (times >= begin - slack) & (times <= end + slack)
 
 
 def _local(
@@ -206,7 +211,8 @@ def _local(
         start = np.clip(below[here] - max(count // 2 - 1, 0), first, end - count)
         nodes = start[:, None] + np.arange(count)
         result[here] = _neville(time[nodes], values[nodes], at[here])
-    return result
+    own = (time[last] == at)[:, None] & ~np.isfinite(result)  # a neighbor is not finite
+    return np.where(own, values[last], result)
 
 
 def _neville(t: Vector, y: Vector, at: Vector) -> Vector:

@@ -111,7 +111,9 @@ def open(
         ...     bike.time, bike.get(["phi", "delta"]).shape
         (0.01, (2,))
     """
-    if isinstance(model, str | os.PathLike) and (is_system(model) or Path(model).suffix == ".toml"):
+    if isinstance(model, str | os.PathLike) and (
+        is_system(model) or Path(model).suffix.lower() == ".toml"
+    ):
         model = read_system(model)
     coupled = {"accuracy", "macro_step", "method"} & {
         n for n, v in keywords.items() if v is not None
@@ -129,7 +131,9 @@ def open(
     start_time, stop_time, solver = facts["start_time"], facts["stop_time"], keywords.get("solver")
     if stop_time is None and start_time is not None:  # any span that follows
         facts["stop_time"] = number("open", "start_time", start_time) + 1.0
-    if isinstance(model, os.PathLike) or (isinstance(model, str) and model.endswith(".fmu")):
+    if isinstance(model, os.PathLike) or (
+        isinstance(model, str) and model.lower().endswith(".fmu")
+    ):
         if solver is not None:
             raise UsageError(f"{model}: an FMU has its own solver; leave solver out")
         file = OpenedFile(model)

@@ -12,6 +12,7 @@ from cosim.errors import UsageError
 from cosim.integrate.solvers import contains_time
 from cosim.model.catalogue import load
 from cosim.model.driving import with_tables
+from cosim.plotting import reject_pixels
 from cosim.present.playback.animate import (
     animate,
     animation_format,
@@ -26,7 +27,8 @@ def run(args: argparse.Namespace) -> int:
     reject_missing(animation_format(args.output_file), live=args.live)
     at = None if args.poses is None else numbers_in("--at", args.poses)
     size = size_of(args)
-    tables = [name for name in args.sources if name.endswith(".csv")]
+    reject_pixels(*size, args.dpi)
+    tables = [name for name in args.sources if name.lower().endswith(".csv")]
     if args.shown_model is None and tables:
         args.shown_model = guessed_model(tables)
         drawn = f"the result is drawn as {args.shown_model}, with its default parameters"

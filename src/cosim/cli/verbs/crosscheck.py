@@ -18,7 +18,7 @@ _LIMITATION = "it shows that the file runs here as it did there, not that it is 
 
 def run(args: argparse.Namespace) -> int:
     """Compare all backends and formulations."""
-    files = [name for name in args.models if name.endswith(".fmu")]
+    files = [name for name in args.models if name.lower().endswith(".fmu")]
     for file in files:
         require_trust(file, trusted=args.trust)
     items = [_subject(name) for name in args.models if name not in files]
@@ -59,4 +59,4 @@ def run(args: argparse.Namespace) -> int:
 def _subject(name: str) -> str | Scene | System:
     if is_system(name):
         return read_system(name)
-    return named_scene(name) if name.endswith(".toml") else name
+    return named_scene(name) if name.lower().endswith(".toml") else name

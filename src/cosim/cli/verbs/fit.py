@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     model: Any = args.model
     dae, like, reference = None, None, ""
     start, settings = dict[str, float](), dict[str, Any]()
-    if args.model.endswith(".fmu"):
+    if args.model.lower().endswith(".fmu"):
         if args.output_file:
             raise UsageError("-o writes a scene or an FMU of a model; an FMU was given")
         require_trust(args.model, trusted=args.trust)
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(found: Fit, target: str, reference: str) -> None:
     """Write the fitted model as a scene or an FMU."""
-    if target.endswith(".toml"):
+    if target.lower().endswith(".toml"):
         found.write_scene(target, reference)
         return
     from cosim.fmi.export.package import export_fmu
@@ -93,16 +93,6 @@ def _write(found: Fit, target: str, reference: str) -> None:
 
 
 def _as_json(found: Fit) -> dict[str, Any]:
-    return {
-        "model": found.subject.name,
-        "values": found.values,
-        "errors": found.errors,
-        "intervals": found.intervals,
-        "confidence": found.confidence,
-        "correlation": found.correlation.tolist(),
-        "rank": found.rank,
-        "unidentified": found.unidentified,
-        "notes": found.notes,
-        "noise": found.noise,
-        "samples": found.samples,
-    }
+    names = ("values", "errors", "intervals", "confidence", "rank", "unidentified", "notes")
+    facts = {name: getattr(found, name) for name in (*names, "noise", "samples")}
+    return {"model": found.subject.name, "correlation": found.correlation.tolist(), **facts}

@@ -30,10 +30,10 @@ def run(args: argparse.Namespace) -> int:
     if args.figure and not args.along:
         raise UsageError("--figure draws the eigenvalues of --along; add --along NAME=A:B:N")
     model: Any = args.model
-    if args.model.endswith(".fmu"):
+    if args.model.lower().endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
         start = start_values_of_fmu(args)
-        outputs = names_in(args.outputs) if args.outputs else None
+        outputs = None if args.outputs is None else names_in(args.outputs)
         evaluate: Any = partial(run_apart, function=linearize)
     else:
         scene = scene_from(args)

@@ -8,7 +8,7 @@ from cosim.cli.arguments import names_in
 from cosim.cli.runs import read_measured, runs_of, size_of
 from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
-from cosim.plotting import picture_format, require_screen, save, show
+from cosim.plotting import picture_format, reject_pixels, require_screen, save, show
 from cosim.present.figures import draw_figures, draw_overlay, shared_specs
 from cosim.scene.scene import FigureSpec
 from cosim.trajectory import Trajectory
@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
     if args.data is not None and len(args.sources) > 1:
         raise UsageError("--data is drawn over a single run; give one model, scene or result")
     size = size_of(args) if args.size else None
+    reject_pixels(*(size or (1.0, 1.0)), args.dpi)
     runs, scenes, code = runs_of(args)
     if args.outputs:  # of results, too
         runs = [run.select(names_in(args.outputs)) for run in runs]

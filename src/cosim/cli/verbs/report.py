@@ -2,7 +2,6 @@
 
 import argparse
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,9 +35,8 @@ def run(args: argparse.Namespace) -> int:
             row = check.row()
             checks.append({key: row[key] for key in _CHECK_COLUMNS})
             note(args, f"{row['model']}: {row['backend']} {check.verdict}")
-    words = sys.argv[1:] if sys.argv[0].endswith("cosim") else ["report", args.model, "-o",
-                                                               args.output_file]  # fmt: skip
-    dae, command = request.reduced().configured(), shlex.join(["cosim", *map(_portable, words)])
+    command = shlex.join(["cosim", *map(_portable, args.words)])
+    dae = request.reduced().configured()
     page = report(ReportContents(scene, dae, result, shown, checks, command))
     path = write_atomically(args.output_file, page.encode())
     report_files(args, path, model=result.model, status=result.status)

@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     found = sensitivity(
         request.dae,
         outputs=request.outputs,
-        with_respect_to=names_in(args.by) if args.by else None,
+        with_respect_to=None if args.by is None else names_in(args.by),
         start_values=request.values,
         inputs=request.inputs,
         solver=solver,

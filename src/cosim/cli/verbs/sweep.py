@@ -32,7 +32,7 @@ _AXIS_FORMS = "A,B,C or A:B:N or A"
 
 def run(args: argparse.Namespace) -> int:
     """Run the sweep and write its table of runs."""
-    if args.model.endswith(".fmu"):
+    if args.model.lower().endswith(".fmu"):
         require_trust(args.model, trusted=args.trust)
     subject = open_subject(args.model, apart=True)
     result = sweep(

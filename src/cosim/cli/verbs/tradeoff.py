@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     """Measure error against cost."""
     selection = _selection(args)
     co_simulated = is_system(args.model) and selection == Selection(steps=selection.steps)
-    named = not args.model.endswith(".toml") and ("/" in args.model or ".py:" in args.model)
+    named = not args.model.lower().endswith(".toml") and ("/" in args.model or ".py:" in args.model)
 
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
     given = dict[str, Any]()
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         **given,
     )
     if args.output_file:
-        text = study.to_json() if args.output_file.endswith(".json") else study.to_csv()
+        text = study.to_json() if args.output_file.lower().endswith(".json") else study.to_csv()
         write_text(args.output_file, text)
     draw(args, "tradeoff" if isinstance(study, Tradeoff) else "methods", study)
     if args.json:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import pi, radians
+from math import ceil, pi, radians
 from pathlib import Path
 from typing import Any
 from warnings import warn
@@ -39,12 +39,14 @@ from cosim.host.temporary import temporary_folder
 from cosim.model.catalogue import load
 from cosim.model.request import choice
 from cosim.model.values import number
-from cosim.plotting import picture
+from cosim.plotting import picture, reject_pixels
 from cosim.present.playback.page import column_facts, packages, packed
 from cosim.present.playback.page import page as html_page
 from cosim.present.playback.playback import FRAMES_PER_SECOND, playback
 from cosim.series.samples import Column
 from cosim.trajectory import Trajectory
+
+_FASTEST_GIF = 50.0  # pictures per second; browsers show shorter ones for a tenth of a second
 
 
 class AnimationFormat(StrEnum):
@@ -65,11 +67,7 @@ class AnimationFormat(StrEnum):
     @property
     def frames_per_second(self) -> float:
         """Smallest number of frames in a second of playback."""
-        return {
-            AnimationFormat.GIF: 15.0,
-            AnimationFormat.MP4: 25.0,
-            AnimationFormat.HTML: 100.0,
-        }.get(self, FRAMES_PER_SECOND)
+        return {"gif": 15.0, "mp4": 25.0, "html": 100.0}.get(self, FRAMES_PER_SECOND)
 
 
 @dataclass(frozen=True)
@@ -146,6 +144,7 @@ def animate(
         raise UsageError(f"animate: only a picture shows chosen times; name a .png, not a .{kind}")
     if live is not None and kind is not AnimationFormat.HTML:
         raise UsageError(f"animate: only a page computes; name an .html file, not .{kind}")
+    reject_pixels(*size, dpi)
     reject_missing(kind, live=live is not None)
     shown = _shown(runs)
     times = None
@@ -154,7 +153,7 @@ def animate(
     rate: dict[str, Any] = {"frames_per_second": kind.frames_per_second, "speed": speed}
     played: list[Poses] = []
     for run in shown:
-        if played:
+        if played and len(run):
             times = [min(max(t, run.time[0]), run.time[-1]) for t in played[0].time.tolist()]
         beside = () if played else labels
         drawing = drawing_of(run, model)
@@ -213,6 +212,19 @@ def reject_missing(kind: AnimationFormat, *, live: bool) -> None:
         optional_module("imageio_ffmpeg", "animate")
 
 
+class _GifWriter(PillowWriter):
+    """Writes a GIF, whose pictures last whole hundredths of a second."""
+
+    _frames: list[Any]
+
+    def finish(self) -> None:
+        """Write the file."""
+        first, *others = self._frames
+        ends = np.round(100 / self.fps * np.arange(2 + len(others)))
+        lengths = (10 * np.diff(ends)).tolist()  # ms
+        first.save(self.outfile, save_all=True, append_images=others, duration=lengths, loop=0)
+
+
 def movie(
     runs: Sequence[Poses],
     kind: AnimationFormat,
@@ -227,7 +239,8 @@ def movie(
     stage = Stage(runs, view, follow, size)
     gaps = np.diff(runs[0].time)
     per_second = runs[0].speed * float(1 / gaps[0] if gaps.size and gaps[0] else 1.0)
-    writer: AbstractMovieWriter = PillowWriter(fps=per_second)  # type: ignore[arg-type]
+    stride = ceil(per_second / _FASTEST_GIF - 1e-9) if kind is AnimationFormat.GIF else 1
+    writer: AbstractMovieWriter = _GifWriter(fps=per_second / stride)  # type: ignore[arg-type]
     settings: Any = {}
     if kind is AnimationFormat.MP4:
         ffmpeg = optional_module("imageio_ffmpeg", "animate")
@@ -236,13 +249,13 @@ def movie(
         writer = FFMpegWriter(fps=per_second, codec="h264", extra_args=even)  # type: ignore[arg-type]
     with temporary_folder() as folder, matplotlib.rc_context(settings):
         place = folder / f"movie.{kind}"
-        drawn, count = 0, len(runs[0].time)
+        drawn, count = 0, len(runs[0].time[::stride])
         with (
             writer.saving(figure, str(place), dpi),
             doing(f"drawing {count} pictures", lambda: drawn / count),
         ):
             for drawn in range(count):
-                stage.draw(axis, [drawn])
+                stage.draw(axis, [drawn * stride])
                 writer.grab_frame()
         return place.read_bytes()
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from importlib.util import find_spec
-from math import isfinite
+from math import frexp, isfinite, ldexp
 from pathlib import Path
 from typing import Any
 
@@ -123,11 +123,12 @@ def _facts(
     columns = runs[0].columns
     names = [column.name for column in columns]
     values = runs[0].values
-    spans = np.ptp(values, axis=0)
+    spans = np.fmax.reduce(values) - np.fmin.reduce(values)  # apart from what is not a number
     _, own = np.unique(values, axis=1, return_index=True)  # an input equals what it is connected to
-    moving = [int(i) for i in sorted(own) if spans[i] > 0]
+    distinct = [int(i) for i in sorted(own)]
+    moving = [i for i in distinct if spans[i] > 0] or distinct
     similar = [i for i in moving if columns[i].unit == columns[moving[0]].unit
-             and spans[i] < _SIMILAR * spans[moving[0]]]  # fmt: skip
+             and not spans[i] >= _SIMILAR * spans[moving[0]] > 0]  # fmt: skip
     chosen = [names.index(name) for name in labels] or similar[:_CURVES_AT_FIRST]
     return {
         "title": first.title,
@@ -195,14 +196,14 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
     rows = np.hstack(parts)
     known, missing = {**run}, np.full(len(run), np.nan)
     curves = (known.get(name, missing) for name in names)
-    begin = run.time[0]  # the times after it are as exact as their span allows
-    times = [own - begin for own in (played.time, run.time)]
-    numbers = np.concatenate([times[0], rows.T.ravel(), times[1], *curves]).astype("<f4")
+    columns = [played.time, *rows.T, run.time, *curves]
+    bases, sizes, numbers = zip(*map(_scaled, columns), strict=True)
     shapes = [[*s.size, *s.at.tolist(), *s.along.tolist()] for s in played.solids]
     return {
         "title": played.title,
-        "packed": packed(numbers.tobytes()),
-        "begin": float(begin),
+        "packed": packed(np.concatenate(numbers).tobytes()),
+        "bases": bases,
+        "sizes": sizes,
         "n": n,
         "m": len(run.time),
         "width": rows.shape[1],
@@ -212,6 +213,16 @@ def _run(played: Poses, run: Trajectory, names: Sequence[str]) -> dict[str, Any]
         "reasons": played.reasons,
         "stopped": run.status != "complete",
     }
+
+
+def _scaled(column: Vector) -> tuple[float, float, Vector]:
+    """Return an offset, a size, and what remains of a column for 4-byte floats; 0 stays exact."""
+    finite = column[np.isfinite(column)]
+    least = float(finite[np.abs(finite).argmin()]) if finite.size else 0.0
+    base = least if (np.sign(finite) == np.sign(least)).all() else 0.0
+    most = float(np.abs(finite - base).max(initial=0.0))
+    size = ldexp(1.0, frexp(most)[1] - 1) if most else 1.0  # a power of 2 adds no rounding
+    return base, size, ((column - base) / size).astype("<f4")
 
 
 def packed(content: bytes) -> str:

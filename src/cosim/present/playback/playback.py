@@ -12,7 +12,8 @@ from casadi_models.dae import Drawing
 from cosim.arrays import Vector
 from cosim.drawing.pose import Poses, Values, motion, poses_at
 from cosim.errors import UsageError
-from cosim.series.samples import resample
+from cosim.series.samples import clipped_times, resample
+from cosim.text import moment
 from cosim.trajectory import Trajectory
 
 FRAMES_PER_SECOND = 30.0
@@ -46,7 +47,7 @@ def playback(
 
     Raises:
         UsageError: The model declares no shapes; or the run lacks variables that place the bodies,
-            is empty, or would need more than 6000 frames.
+            has no finite values of them, is empty, or would need more than 6000 frames.
         UnknownName: The run did not record a label.
     """
     if not drawing:
@@ -66,18 +67,26 @@ def playback(
         frames = frame_times(run.time, turn_rate, frames_per_second / speed)
     else:
         frames = np.asarray(times, dtype=float)
-    outside = (frames < run.time[0] - 1e-9) | (frames > run.time[-1] + 1e-9)
-    if outside.any():
+    clipped, inside = clipped_times(run.time, frames)
+    if not inside.all():
         raise UsageError(
-            f"{run.model}: {frames[outside][0]:g} s lies outside the run, "
-            f"{run.time[0]:g} ... {run.time[-1]:g} s"
+            f"{run.model}: {moment(frames[~inside][0], 6)} s lies outside the run, "
+            f"{moment(run.time[0], 6)} ... {moment(run.time[-1], 6)} s"
         )
+    poses = poses_at(drawing, values, clipped)
+    placed = np.isfinite(poses.places.sum((1, 2)) + poses.rotations.sum((1, 2, 3)))
+    if not placed.all():
+        note = f"at {frames[~placed][0]:g} s the places of the bodies are not finite"
+        if times is not None or not placed.any():
+            raise UsageError(f"{run.model}: {note}; draw another time")
+        poses = poses_at(drawing, values, clipped[placed])
+        poses = replace(poses, notes=(*poses.notes, f"{note}; such times are left out"))
     start, reasons = run.validity
     facts = (run.model, run.stats.get("solver"), run.stats.get("variation"))
     return replace(
-        poses_at(drawing, values, frames),
+        poses,
         title=", ".join(str(fact) for fact in facts if fact),
-        labels=tuple(_label(run, name, frames) for name in labels),
+        labels=tuple(_label(run, name, poses.time) for name in labels),
         invalid_from=start,
         reasons=reasons,
         speed=speed,

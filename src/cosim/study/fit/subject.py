@@ -162,6 +162,6 @@ def subject_of(model: Dae | str | os.PathLike[str], settings: Mapping[str, Any])
     """Return what is fitted, from a model, its name, or the file of an FMU."""
     if isinstance(model, Dae):
         return ModelSubject(model, settings)
-    if str(model).endswith(".fmu"):
+    if str(model).lower().endswith(".fmu"):
         return FmuSubject(str(model), settings)
     return ModelSubject(load(str(model)), settings, str(model))

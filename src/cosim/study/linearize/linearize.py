@@ -96,7 +96,7 @@ def linearize(
         >>> len(found.values)
         2
     """
-    if isinstance(model, str) and not model.endswith(".fmu"):
+    if isinstance(model, str) and not model.lower().endswith(".fmu"):
         model = load(model)
     if along is None:
         return _linearized(model, **options)

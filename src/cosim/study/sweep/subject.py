@@ -251,9 +251,9 @@ def open_subject(subject: Any, *, apart: bool = False) -> Subject:
         return ModelSubject(RunRequest(subject))
     if isinstance(subject, str | os.PathLike):
         name = os.fspath(subject)
-        if Path(name).suffix == ".fmu":
+        if Path(name).suffix.lower() == ".fmu":
             return FmuSubject(str(Path(name).resolve()), apart=apart and not is_made_here(name))
-        if Path(name).suffix == ".toml":
+        if Path(name).suffix.lower() == ".toml":
             scene = read_scene(name)
             if isinstance(scene.request.solver, Goal):
                 raise UsageError(

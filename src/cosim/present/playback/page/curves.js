@@ -50,21 +50,24 @@ class Curves {
   chart(unit, columns) {
     const style = getComputedStyle(document.body), { colors } = this.data;
     const color = style.getPropertyValue("--ink"), faint = style.getPropertyValue("--faint");
-    const axis = { stroke: color, grid: { stroke: faint, width: 1 }, ticks: { stroke: faint } };
+    const values = (_, ticks) => ticks.map((tick) => stepped(tick, ticks[1] - ticks[0] || tick));
+    const axis = { stroke: color, grid: { stroke: faint, width: 1 }, ticks: { stroke: faint }, values };
+    const { time } = this.results[0].curves, span = time[time.length - 1] - time[0];
     const lines = this.results.flatMap((run, i) => columns.map((k, position) => ({
       label: this.data.columns[k].name + (i ? ` (${this.different(run)})` : ""),
       stroke: colors[position % colors.length],
       dash: i ? [4 + 2 * i, 4] : position && this.results.length < 2 ? [10, 3 + 2 * position] : undefined, // equal ones show
       width: i ? 1 : 1.8,
-      points: { show: false },
+      points: { show: time.length < 2 },
       value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
     })));
     const options = {
       width: this.place.clientWidth, height: 170, legend: { live: true }, cursor: { drag: { x: false, y: false } },
       scales: { x: { time: false }, y: { range: (plot) => this.reach(plot) } },
-      series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${shown(v)} s`) }, ...lines],
-      axes: [{ ...axis, size: 34 }, { ...axis, size: 62, label: unit === "1" ? "" : unit, labelSize: 18,
-        values: (_, ticks) => ticks.map(shown) }],
+      series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${stepped(v, span / 100 || v)} s`) }, ...lines],
+      axes: [{ ...axis, size: 34, space: (_, axis, low, high) => 20 + 7 * stepped(high - (high - low) / 40, (high - low) / 40).length },
+        { ...axis, size: (_, texts) => Math.max(62, 20 + 7 * Math.max(...(texts || [""]).map((s) => s.length))),
+          label: unit === "1" ? "" : unit, labelSize: 18 }],
     };
     const plot = new uPlot(options, [[]], this.place);
     plot.over.addEventListener("click", (e) => this.jump(plot.posToVal(e.offsetX, "x")));
@@ -101,7 +104,8 @@ class Curves {
       return (valid.length > 1 ? valid : row).filter((v) => v !== null);
     });
     const [low, high] = [Math.min, Math.max].map((pick) => own.reduce((a, b) => pick(a, b), own[0] || 0));
-    return uPlot.rangeNum(low, high, 0.1, true);
+    const gap = high - low > 1e-9 * Math.max(high, -low) ? high - low : Math.abs(high) || 10;
+    return [low - 0.1 * gap, high + 0.1 * gap];
   }
 
   /* Lines at events, and a shade where the run is invalid. */

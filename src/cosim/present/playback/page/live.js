@@ -67,9 +67,11 @@ class Solver {
         const { curves } = this.run(new Map(settings).set(through, start), 2);
         return curves.time.length ? curves.values[column][0] - target : NaN;
       };
-      let [start, other] = [state.value, value ? (state.value * target) / value : state.value + 1];
+      let [start, other] = [state.value, (state.value * target) / value];
+      if (!Number.isFinite(other) || other === start) other = start + (Math.abs(target - value) || 1);
       let [miss, next] = [missed(start), missed(other)];
-      for (let round = 0; round < 20 && Math.abs(next) > 1e-12 * (1 + Math.abs(target)) && next !== miss; ++round) {
+      const enough = 1e-12 * Math.max(Math.abs(target), Math.abs(miss));
+      for (let round = 0; round < 20 && Math.abs(next) > enough && next !== miss; ++round) {
         [start, other] = [other, other - (next * (other - start)) / (next - miss)];
         [miss, next] = [next, missed(other)];
       }
@@ -89,7 +91,7 @@ class Solver {
     const lines = messages.filter((text) => !EVENT.test(text)).map(plain);
     const reasons = [...new Set(lines.map(violation))]; // what is violated again and again is one reason
     const stopped = reached < times.length;
-    if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${time[reached - 1]} s`);
+    if (stopped && reached && !reasons.length) reasons.push(`the run ends at ${rounded(time[reached - 1])} s`);
     const since = lines.map((line) => /invalid from (\S+) s:/.exec(line)).find(Boolean);
     return {
       time, rows: rows.subarray(references.length), across: width, down: 1, title: "",

@@ -44,6 +44,8 @@ class Player {
     const { time } = results[0];
     [this.begin, this.end] = [time[0], time[time.length - 1]];
     this.t = Math.min(Math.max(this.t, this.begin), this.end);
+    const span = this.end - this.begin;
+    this.decimals = span < 1 ? 3 + Math.ceil(-Math.log10(span || Math.abs(this.end) || 1)) : 2;
     Object.assign($("time"), { min: this.begin, max: this.end });
     this.curves.take(results);
     this.stale = true;
@@ -133,17 +135,19 @@ class Player {
     }
     $("facts").textContent = parts.join("\n");
     this.alarm(this.results.flatMap((run) => this.complaints(run)));
-    const event = this.results[0].events.filter(([time]) => time <= this.t).pop();
-    if (event && this.t - event[0] < 0.5 * this.speed)
-      $("facts").appendChild(document.createElement("div")).textContent = event[1];
+    const now = this.t + 1e-6 * (this.end - this.begin); // times of frames are rounded
+    const { events } = this.results[0], last = events.filter(([time]) => time <= now).pop();
+    if (last && this.t - last[0] < 0.5 * this.speed)
+      $("facts").appendChild(document.createElement("div")).textContent =
+        events.filter(([time]) => time === last[0]).map(([, name]) => name).join(", ");
   }
 
   /* What is wrong with a run, at all times: a line that comes and goes would move the picture. */
   complaints(run) {
     const since = run.invalid_from, last = run.reasons.length - 1;
     return run.reasons.flatMap((reason, i) => {
-      if (run.stopped && i === last) return [`stopped at ${shown(run.time[run.time.length - 1])} s: ${reason}`];
-      return since === null ? [] : [i ? reason : `invalid from ${Number(since.toPrecision(3))} s: ${reason}`];
+      if (run.stopped && i === last) return [`stopped at ${moment(run.time[run.time.length - 1])} s: ${reason}`];
+      return since === null ? [] : [i ? reason : `invalid from ${moment(since)} s: ${reason}`];
     });
   }
 
@@ -172,21 +176,25 @@ class Player {
       this.curves.show(this.t);
       this.facts();
       $("time").value = this.t;
-      $("now").textContent = `${this.t.toFixed(this.end - this.begin < 1 ? 4 : 2)} s`;
+      const { t, decimals } = this;
+      $("now").textContent = `${decimals > 8 ? t.toExponential(4) : t.toFixed(decimals)} s`;
       $("play").textContent = this.playing ? "pause" : "play";
     }
     requestAnimationFrame((next) => this.frame(next));
   }
 }
 
-/* A recorded run: all of it in one packed array of 4-byte floats, column by column; times count from the start. */
+/* A recorded run: one packed array of 4-byte floats, column by column, each with an offset and a size. */
 async function recorded(run, columns) {
-  const numbers = new Float32Array(await unpacked(run.packed)), { n, m, width } = run;
-  let next = 0;
-  const take = (count) => numbers.subarray(next, (next += count));
-  const times = (count) => Float64Array.from(take(count), (t) => run.begin + t);
-  const time = times(n), rows = take(n * width), curve_time = times(m);
-  const values = Array.from({ length: columns }, () => take(m));
+  const numbers = new Float32Array(await unpacked(run.packed)), { n, m, width, bases, sizes } = run;
+  let next = 0, column = 0;
+  const take = (count) => {
+    const base = bases[column], size = sizes[column++];
+    return Float64Array.from(numbers.subarray(next, (next += count)), (x) => base + size * x);
+  };
+  const time = take(n), rows = new Float64Array(n * width);
+  for (let k = 0; k < width; ++k) rows.set(take(n), k * n);
+  const curve_time = take(m), values = Array.from({ length: columns }, () => take(m));
   return { ...run, time, rows, across: 1, down: n, curves: { time: curve_time, values } };
 }
 

@@ -18,8 +18,9 @@ function station(times, t) {
     const middle = (low + high) >> 1;
     if (times[middle] <= t) low = middle; else high = middle;
   }
+  if (t >= times[high]) return [high, high, 0]; // the last of several rows at this time
   const gap = times[high] - times[low];
-  return [low, high, gap > 0 ? Math.min(1, Math.max(0, (t - times[low]) / gap)) : 0];
+  return [low, high, gap > 0 ? Math.max(0, (t - times[low]) / gap) : 0];
 }
 
 /* A cylinder of given radii below and above along the third axis. */
@@ -207,7 +208,7 @@ class Actor {
       group.visible = length > 1e-6 * data.pose;
       group.position.copy(this.place(t, base + k * LOAD));
       group.quaternion.copy(onto(vector));
-      shaft.scale.set(1, 1, Math.max(length - 0.07 * data.pose, 1e-9));
+      shaft.scale.set(1, 1, Math.max(length - 0.07 * data.pose, 1e-9 * data.pose));
       head.position.z = length;
       head.scale.setScalar(Math.min(1, length / (0.1 * data.pose)));
       group.userData.text = `${load.name}: ${shown(size * load.factor)} ${load.unit}, ${load.meaning}` +
@@ -222,6 +223,15 @@ class Actor {
 }
 
 const shown = (number) => String(Number(Number(number).toPrecision(4)));
+
+/* A time with three digits, s, from 10 s on with hundredths. */
+const moment = (t) => Number(Math.abs(t) < 10 ? t.toPrecision(3) : t.toFixed(2));
+
+/* A number with the digits that tell it from others at a distance such as 1, 2, 2.5 or 5. */
+function stepped(number, step) {
+  const digits = Math.floor(Math.log10(Math.abs(number) / step)) + 3;
+  return digits > -6 ? String(Number(number.toPrecision(Math.min(Math.max(digits, 1), 15)))) : "0";
+}
 
 /* All runs, the ground, and a camera that is turned with the pointer. */
 class Scene {
