@@ -263,7 +263,7 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end, 
     const Point at = {begin, x, z, u};
     note_slack(&step.laws, s, &at);
     margins_at(&step.laws, s, &at, &before);
-    ++s->rounded;
+    note_steps(s, end, 1);
 #if FIXED_STEPS > 0
     Place after;
     look_at(&step, end, &after);

@@ -272,11 +272,11 @@ SHARED void cosim_note_least(Call *call) {
     note_least(&self.laws, self.switching, &self.at, &found);
 }
 
-/* A solver that knows no events has taken some steps. */
-SHARED void cosim_note_steps(Call *call, double steps) {
+/* A solver that knows no events has taken some steps up to a time. */
+SHARED void cosim_note_steps(Call *call, double t, double steps) {
     Kernel self;
     open_kernel(&self, call);
-    self.switching->rounded += steps * LOCATED / DBL_EPSILON;
+    note_steps(self.switching, t, steps * LOCATED / DBL_EPSILON);
 }
 
 /* Boundaries that an event has displaced are back where arguments have been inside since. */

@@ -181,7 +181,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
                               const Place *begin, Place *end, Crossing *found) {
     Switching *s = self->watch->switching;
     Place before = *begin, place;
-    ++s->rounded;
+    note_steps(s, end->t, 1);
     self->proven = false; /* that of the step before */
     self->proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;

@@ -117,7 +117,7 @@ class Piece:
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start, in_pieces=True)
         if self.kernel is not None and found.events is None:
-            self.kernel.note_steps(found.counts.steps or 0)
+            self.kernel.note_steps(times[-1], found.counts.steps or 0)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
