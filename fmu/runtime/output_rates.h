@@ -2,7 +2,8 @@
 
    The first one is exact. The others are differences of fourth order of the first ones, at states a
    small part of a step before and after the present one, and ever nearer to it, as outputs may vary
-   faster than states, until rounding counts. */
+   faster than states, until rounding counts. Where it counts at once, as steps are short at a rest,
+   they begin farther away. */
 #ifndef OUTPUT_RATES_H
 #define OUTPUT_RATES_H
 
@@ -21,6 +22,7 @@ static const double PART = 0.01;  /* of a step, between two points at first */
 static const double FINER = 4;    /* how much nearer they come each time, ... */
 static const double LESS = 255;   /* ... which makes errors of fourth order smaller by 4^4 */
 static const double ROUNDED = 16; /* roundings of a rate */
+static const double FARTHER = 64, POOR = 1e-4; /* a beginning after one with such an error */
 
 static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
@@ -88,8 +90,9 @@ static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES
             const double change = fabs(now - self->last[order][k]);
             const double error = change / LESS + rounding_of(order, h, self->sizes[k]);
             double *least = &self->errors[order][k];
-            if (!first && *least == INFINITY) *least = change;
-            if (first || !(*least <= error)) {
+            if (!first && *least == INFINITY)
+                *least = change + rounding_of(order, h * FINER, self->sizes[k]);
+            if (first ? *least == INFINITY : !(*least <= error)) {
                 self->best[order][k] = now;
                 *least = first ? INFINITY : error;
             }
@@ -98,13 +101,12 @@ static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES
     }
 }
 
-static Status higher_rates(Instance *self, const Reference references[], size_t count,
-                           const Order orders[], double values[]) {
+/* Take differences over a distance, and ever nearer ones. */
+static Status come_nearer(Instance *self, double h, const Reference references[], size_t count,
+                          const Order orders[], Differences *found) {
     double rates[TIMES][N_VARIABLES];
-    Differences found = {.sizes = {0}};
     const State from = self->state;
     bool finer = true;
-    double h = PART * typical_step(self);
     for (bool first = true; finer; first = false, h /= FINER) {
         for (int k = 0; k < TIMES; k++) {
             Status status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
@@ -112,12 +114,32 @@ static Status higher_rates(Instance *self, const Reference references[], size_t 
             self->state = from;
             if (status != OK) return status;
         }
-        compare(&found, h, rates, first);
+        compare(found, h, rates, first);
         finer = false; /* unless rounding allows more */
         for (size_t i = 0; i < count; i++) {
+            const double size = found->sizes[references[i]];
+            finer |= orders[i] > 1 && found->errors[orders[i]][references[i]] >
+                                          rounding_of(orders[i], h / FINER, size);
+        }
+    }
+    return OK;
+}
+
+static Status higher_rates(Instance *self, const Reference references[], size_t count,
+                           const Order orders[], double values[]) {
+    Differences found = {.sizes = {0}};
+    const double begin = PART * typical_step(self);
+    for (uint32_t k = 0; k < N_VARIABLES; k++) found.errors[2][k] = found.errors[3][k] = INFINITY;
+    bool poor = true;
+    for (double h = begin; poor && h <= fmax(begin, PART * LARGEST_STEP); h *= FARTHER) {
+        const Status status = come_nearer(self, h, references, count, orders, &found);
+        if (status != OK && h == begin) return status;
+        poor = false;
+        for (size_t i = 0; i < count && status == OK; i++) {
             const uint32_t k = references[i];
-            finer |= orders[i] > 1 &&
-                     found.errors[orders[i]][k] > rounding_of(orders[i], h / FINER, found.sizes[k]);
+            const double size = found.sizes[k] / pow(LARGEST_STEP, orders[i] - 1);
+            const double value = fmax(fabs(found.best[orders[i]][k]), size);
+            poor |= orders[i] > 1 && found.errors[orders[i]][k] > POOR * value;
         }
     }
     for (size_t i = 0; i < count; i++)
