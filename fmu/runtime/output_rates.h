@@ -22,7 +22,7 @@ static const double PART = 0.01;  /* of a step, between two points at first */
 static const double FINER = 4;    /* how much nearer they come each time, ... */
 static const double LESS = 255;   /* ... which makes errors of fourth order smaller by 4^4 */
 static const double ROUNDED = 16; /* roundings of a rate */
-static const double FARTHER = 64, POOR = 1e-4; /* a beginning after one with such an error */
+static const double FARTHER = 64, INEXACT = 1e-4; /* a beginning after one with such an error */
 
 static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
@@ -101,46 +101,36 @@ static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES
     }
 }
 
-/* Take differences over a distance, and ever nearer ones. */
-static Status come_nearer(Instance *self, double h, const Reference references[], size_t count,
-                          const Order orders[], Differences *found) {
-    double rates[TIMES][N_VARIABLES];
-    const State from = self->state;
-    bool finer = true;
-    for (bool first = true; finer; first = false, h /= FINER) {
-        for (int k = 0; k < TIMES; k++) {
-            Status status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
-            if (status == OK) status = all_rates(self, rates[k]);
-            self->state = from;
-            if (status != OK) return status;
-        }
-        compare(found, h, rates, first);
-        finer = false; /* unless rounding allows more */
-        for (size_t i = 0; i < count; i++) {
-            const double size = found->sizes[references[i]];
-            finer |= orders[i] > 1 && found->errors[orders[i]][references[i]] >
-                                          rounding_of(orders[i], h / FINER, size);
-        }
-    }
-    return OK;
-}
-
 static Status higher_rates(Instance *self, const Reference references[], size_t count,
                            const Order orders[], double values[]) {
+    double rates[TIMES][N_VARIABLES];
     Differences found = {.sizes = {0}};
-    const double begin = PART * typical_step(self);
+    const State from = self->state;
+    const double nearest = PART * typical_step(self);
+    double begin = nearest, h = begin;
     for (uint32_t k = 0; k < N_VARIABLES; k++) found.errors[2][k] = found.errors[3][k] = INFINITY;
-    bool poor = true;
-    for (double h = begin; poor && h <= fmax(begin, PART * LARGEST_STEP); h *= FARTHER) {
-        const Status status = come_nearer(self, h, references, count, orders, &found);
-        if (status != OK && h == begin) return status;
-        poor = false;
-        for (size_t i = 0; i < count && status == OK; i++) {
-            const uint32_t k = references[i];
-            const double size = found.sizes[k] / pow(LARGEST_STEP, orders[i] - 1);
-            const double value = fmax(fabs(found.best[orders[i]][k]), size);
-            poor |= orders[i] > 1 && found.errors[orders[i]][k] > POOR * value;
+    for (bool finer, poor = true; poor && begin <= fmax(nearest, PART * LARGEST_STEP);) {
+        Status status = OK;
+        for (int k = 0; k < TIMES && status == OK; k++) {
+            if (k != HERE) status = move_by(self, &from, (k - HERE) * h);
+            if (status == OK) status = all_rates(self, rates[k]);
+            self->state = from;
         }
+        if (status != OK && begin == nearest) return status;
+        if (status != OK) break;
+        compare(&found, h, rates, h == begin);
+        finer = poor = false; /* unless rounding allows more */
+        for (size_t i = 0; i < count; i++) {
+            const double *errors = found.errors[orders[i]], size = found.sizes[references[i]];
+            const double value = fabs(found.best[orders[i]][references[i]]);
+            const double least = fmax(value, size / pow(LARGEST_STEP, orders[i] - 1));
+            if (orders[i] < 2) continue;
+            finer |= errors[references[i]] > rounding_of(orders[i], h / FINER, size);
+            poor |= errors[references[i]] > INEXACT * least;
+        }
+        if (!finer) begin *= FARTHER;
+        h = finer ? h / FINER : begin;
+        poor |= finer;
     }
     for (size_t i = 0; i < count; i++)
         if (orders[i] > 1) values[i] = found.best[orders[i]][references[i]];
