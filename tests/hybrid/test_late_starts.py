@@ -186,3 +186,21 @@ def test_rows_and_events_are_as_accurate_from_a_late_start_on(solver, start):
     run = cosim.simulate(model.freeze(), solver=solver, **span)
     assert np.abs(run["x"] - np.sin(run.time - start)).max() < 1e-8  # measured 3e-9, cvodes
     assert [e.time - start for e in run.events] == pytest.approx([np.pi / 6], abs=1e-15 * start)
+
+
+@pytest.mark.parametrize(("start", "period"), [(1e6, 1e-9), (1e9, 1e-6)])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4", "FMU"])
+def test_motion_between_samples_that_are_few_roundings_apart_adds_up(
+    solver, start, period, tmp_path
+):
+    model = cosim.Model("sampled", stop_time=1.0)
+    x, n = model.state("x", "s", 0.0, "time"), model.discrete("n", "1", 0.0, "samples")
+    model.derivative(x, 1 + 0 * x)
+    model.every(period, {n: n + 1}, name="sample")
+    dae, length = model.freeze(), 100 * period
+    span = {"start_time": start, "stop_time": start + length, "output_interval": length / 2}
+    if solver == "FMU":
+        run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "sampled.fmu"), **span)
+    else:
+        run = cosim.simulate(dae, solver=solver, **span)
+    np.testing.assert_allclose(run["x"], run.time - start, rtol=1e-12)
