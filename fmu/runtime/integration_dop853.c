@@ -198,8 +198,9 @@ static bool take_step(Stepper *self, double end, double ahead) {
     double x[NX], after;
     const double began = self->fmu->state.values[TIME];
     const double t = memory->until, shortest = shortest_step(t, end - began);
-    if (ahead - t <= shortest) { /* as from a sample to a communication point: nothing moves */
+    if (ahead - t <= shortest) { /* as from a sample to a communication point: a line in time */
         memory->until = fmin(ahead, end);
+        move_along(memory->end, memory->slope, memory->until - t, memory->end);
         return self->trials-- > 0;
     }
     note_leaving(self->fmu, t, memory->leaves); /* a communication point may lie within the last */

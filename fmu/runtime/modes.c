@@ -199,11 +199,10 @@ static bool step_afresh(void *step, double t, Place *found) {
 }
 
 static bool stays(void *step, const Place *a, const Place *b) {
-#if ENCLOSED > 0
     SearchedStep *self = step;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Sample samples[NODES];
-    if (self->proven) return true;
+    if (ENCLOSED == 0 || self->proven) return true;
     for (int k = NODES - 1; k >= 0; k--) {
         self->motion->at(self->motion->solver, node_between(a->t, b->t, k), x, z, u);
         memcpy(samples[k], x, NX * sizeof *x);
@@ -212,10 +211,6 @@ static bool stays(void *step, const Place *a, const Place *b) {
     return sampled_stays_within(&self->laws, &self->fmu->state.switching, &(Point){a->t, x, z, u},
                                 b->t - a->t, (const Sample *)samples, self->off, a->inside,
                                 b->inside);
-#else
-    (void)step, (void)a, (void)b;
-    return true;
-#endif
 }
 
 /* Boundaries that an event has displaced are where they were as soon as a step ends within them. */
@@ -233,12 +228,12 @@ static void let_go(SearchedStep *self, double end) {
 #if FIXED_STEPS > 0
 /* Whether bounds prove that no relation leaves its mode in a whole step. */
 static bool is_quiet(SearchedStep *self, const Point *at, const Place *a, const Place *b) {
-#if ENCLOSED > 0
     const Motion *motion = self->motion;
     const double length = b->t - a->t;
     double x[ROOM(NX)], z[ROOM(NZ)];
     Sample samples[NODES];
     Spans spans;
+    if (ENCLOSED == 0) return true;
     for (int k = 0; k < NODES; k++)
         motion->at(motion->solver, node_between(a->t, b->t, k), x, z, samples[k] + NX);
     for (int i = NX; i < NX + NU - MODES; i++)
@@ -246,10 +241,6 @@ static bool is_quiet(SearchedStep *self, const Point *at, const Place *a, const 
     return stays_by_slopes(&self->laws, &self->fmu->state.switching, at, length, motion->stages,
                            FIXED_STEPS, &spans, a->inside, b->inside) ||
            stays_sharply(stays, self, motion->quintic, &self->off, a, b);
-#else
-    (void)self, (void)at, (void)a, (void)b;
-    return true;
-#endif
 }
 #endif
 
@@ -263,7 +254,7 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end, 
     const Point at = {begin, x, z, u};
     note_slack(&step.laws, s, &at);
     margins_at(&step.laws, s, &at, &before);
-    ++s->rounded;
+    note_steps(s, end, 1);
 #if FIXED_STEPS > 0
     Place after;
     look_at(&step, end, &after);

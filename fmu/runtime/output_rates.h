@@ -2,7 +2,8 @@
 
    The first one is exact. The others are differences of fourth order of the first ones, at states a
    small part of a step before and after the present one, and ever nearer to it, as outputs may vary
-   faster than states, until rounding counts. */
+   faster than states, until rounding counts. Where it counts at once, as steps are short at a rest,
+   they begin farther away. */
 #ifndef OUTPUT_RATES_H
 #define OUTPUT_RATES_H
 
@@ -21,6 +22,7 @@ static const double PART = 0.01;  /* of a step, between two points at first */
 static const double FINER = 4;    /* how much nearer they come each time, ... */
 static const double LESS = 255;   /* ... which makes errors of fourth order smaller by 4^4 */
 static const double ROUNDED = 16; /* roundings of a rate */
+static const double FARTHER = 64, INEXACT = 1e-4; /* a beginning after one with such an error */
 
 static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
@@ -88,8 +90,9 @@ static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES
             const double change = fabs(now - self->last[order][k]);
             const double error = change / LESS + rounding_of(order, h, self->sizes[k]);
             double *least = &self->errors[order][k];
-            if (!first && *least == INFINITY) *least = change;
-            if (first || !(*least <= error)) {
+            if (!first && *least == INFINITY)
+                *least = change + rounding_of(order, h * FINER, self->sizes[k]);
+            if (first ? *least == INFINITY : !(*least <= error)) {
                 self->best[order][k] = now;
                 *least = first ? INFINITY : error;
             }
@@ -103,22 +106,31 @@ static Status higher_rates(Instance *self, const Reference references[], size_t 
     double rates[TIMES][N_VARIABLES];
     Differences found = {.sizes = {0}};
     const State from = self->state;
-    bool finer = true;
-    double h = PART * typical_step(self);
-    for (bool first = true; finer; first = false, h /= FINER) {
-        for (int k = 0; k < TIMES; k++) {
-            Status status = k == HERE ? OK : move_by(self, &from, (k - HERE) * h);
+    const double nearest = PART * typical_step(self);
+    double begin = nearest, h = begin;
+    for (uint32_t k = 0; k < N_VARIABLES; k++) found.errors[2][k] = found.errors[3][k] = INFINITY;
+    for (bool finer, poor = true; poor && begin <= fmax(nearest, PART * LARGEST_STEP);) {
+        Status status = OK;
+        for (int k = 0; k < TIMES && status == OK; k++) {
+            if (k != HERE) status = move_by(self, &from, (k - HERE) * h);
             if (status == OK) status = all_rates(self, rates[k]);
             self->state = from;
-            if (status != OK) return status;
         }
-        compare(&found, h, rates, first);
-        finer = false; /* unless rounding allows more */
+        if (status != OK && begin == nearest) return status;
+        if (status != OK) break;
+        compare(&found, h, rates, h == begin);
+        finer = poor = false; /* unless rounding allows more */
         for (size_t i = 0; i < count; i++) {
-            const uint32_t k = references[i];
-            finer |= orders[i] > 1 &&
-                     found.errors[orders[i]][k] > rounding_of(orders[i], h / FINER, found.sizes[k]);
+            const double *errors = found.errors[orders[i]], size = found.sizes[references[i]];
+            const double value = fabs(found.best[orders[i]][references[i]]);
+            const double least = fmax(value, size / pow(LARGEST_STEP, orders[i] - 1));
+            if (orders[i] < 2) continue;
+            finer |= errors[references[i]] > rounding_of(orders[i], h / FINER, size);
+            poor |= errors[references[i]] > INEXACT * least;
         }
+        if (!finer) begin *= FARTHER;
+        h = finer ? h / FINER : begin;
+        poor |= finer;
     }
     for (size_t i = 0; i < count; i++)
         if (orders[i] > 1) values[i] = found.best[orders[i]][references[i]];

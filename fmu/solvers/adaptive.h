@@ -192,8 +192,11 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
         if (halted) return HALTED;
         if (++self.trials > MOST_STEPS) return TOO_MANY_STEPS;
         if (watch && stop - self.t <= 10 * DBL_EPSILON * fabs(stop)) { /* as after an event */
-            while (self.next < grid->points)
-                if (write_column(problem, grid, self.next++, x, course)) return NOT_FINITE;
+            for (; self.next < grid->points; ++self.next) {
+                move_along(x, self.k[0], grid->times[self.next] - self.t, self.end);
+                if (write_column(problem, grid, self.next, self.end, course)) return NOT_FINITE;
+            }
+            move_along(x, self.k[0], stop - self.t, x);
             break;
         }
         if (0.1 * self.h <= fabs(self.t) * DBL_EPSILON || self.h < 1e-18 * (stop - grid->begin))

@@ -145,8 +145,6 @@ SHARED void cosim_leaving(Call *call, long long n, const double *times, const do
     }
 }
 
-#if ENCLOSED > 0
-
 /* Whether no relation leaves its mode from one row to a later one. */
 static inline bool rows_stay(Kernel *self, const MotionRows *rows, long long first,
                              long long last) {
@@ -184,8 +182,6 @@ SHARED void cosim_stay(Call *call, const MotionRows *rows, long long n, double *
     }
 }
 
-#endif
-
 /* Margins and their rates at a time, by a fresh run from the first of two rows; false to end. */
 typedef bool FreshRun(double t, double *inside, double *rates);
 
@@ -218,21 +214,17 @@ static inline void look_on_cubic(void *cubic, double t, Place *found) {
 }
 
 static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
-#if ENCLOSED > 0
     const Cubic *self = cubic;
     const Kernel *kernel = self->kernel;
     Sample samples[NODES];
     double du[NU + 1];
-    if (is_sliding(kernel->switching)) return true; /* bounds know no modes between -1 and 1 */
+    /* bounds know no modes between -1 and 1 */
+    if (ENCLOSED == 0 || is_sliding(kernel->switching)) return true;
     for (int k = 0; k < NODES; k++)
         move_on_cubic(self, node_between(a->t, b->t, k), samples[k], samples[k] + NX, du);
     const Point at = {a->t, kernel->at.x, kernel->at.z, kernel->at.u};
     return sampled_stays_within(&kernel->laws, kernel->switching, &at, b->t - a->t,
                                 (const Sample *)samples, NULL, a->inside, b->inside);
-#else
-    (void)cubic, (void)a, (void)b;
-    return true;
-#endif
 }
 
 static inline bool run_to(void *cubic, double t, Place *found) {
@@ -272,11 +264,11 @@ SHARED void cosim_note_least(Call *call) {
     note_least(&self.laws, self.switching, &self.at, &found);
 }
 
-/* A solver that knows no events has taken some steps. */
-SHARED void cosim_note_steps(Call *call, double steps) {
+/* A solver that knows no events has taken some steps up to a time. */
+SHARED void cosim_note_steps(Call *call, double t, double steps) {
     Kernel self;
     open_kernel(&self, call);
-    self.switching->rounded += steps * LOCATED / DBL_EPSILON;
+    note_steps(self.switching, t, steps * LOCATED / DBL_EPSILON);
 }
 
 /* Boundaries that an event has displaced are back where arguments have been inside since. */

@@ -183,7 +183,6 @@ static int refill(Lanes *self, const Batch *batch) {
         self->h = pick(fresh, pick(self->planned > 0, self->planned, first), self->h);
         int again = 0;
         FOR_LANES if (fresh[l] && (!good[l] || self->next[l] >= batch->points)) {
-            if (!good[l]) self->next[l] = 0;
             finish(self, batch, l, good[l] ? ENDED : NOT_FINITE);
             again = 1;
         }

@@ -34,4 +34,9 @@ static inline int is_finite(const double *x) {
     return sum == 0;
 }
 
+/* A state that moves on for so short a time that its motion is a line. */
+static inline void move_along(const double *x, const double *dx, double time, double *state) {
+    for (int i = 0; i < NX; ++i) state[i] = x[i] + time * dx[i];
+}
+
 #endif

@@ -37,10 +37,18 @@ static inline Grid untimed_part(const Grid *grid, const Switching *s) {
 static inline int integrate_part(Integrate *integrate, Problem *self, Grid part, double *x,
                                  Course *course) {
     const double near = part.begin + SAME_INSTANT * ulp(part.begin);
-    /* no solver begins with an output time so near, and the state is the same there */
-    for (; part.points > 0 && part.times[0] <= near; skip_columns(&part, 1))
-        if (write_column(self, &part, 0, x, course)) return NOT_FINITE;
-    return part.end > near ? integrate(self, &part, x, course) : SUCCESS;
+    double dx[NX], state[NX];
+    const bool begins_near = part.end <= near || (part.points > 0 && part.times[0] <= near);
+    if (!begins_near) return integrate(self, &part, x, course);
+    if (equations_at(self, part.begin, x, dx, NULL) || !is_finite(dx)) memset(dx, 0, sizeof dx);
+    /* no solver begins with an output time so near, up to which the motion is a line */
+    for (; part.points > 0 && part.times[0] <= near; skip_columns(&part, 1)) {
+        move_along(x, dx, part.times[0] - part.begin, state);
+        if (write_column(self, &part, 0, state, course)) return NOT_FINITE;
+    }
+    if (part.end > near) return integrate(self, &part, x, course);
+    move_along(x, dx, part.end - part.begin, x);
+    return SUCCESS;
 }
 
 /* Integrates x over a grid, through the time events before its end; `watch`: NULL without any. */

@@ -110,12 +110,11 @@ static inline void look_within(void *accepted, double t, Place *found) {
 }
 
 static inline bool stays(void *accepted, const Place *a, const Place *b) {
-#if ENCLOSED > 0
     const Step *self = accepted;
     const Watch *watch = self->watch;
     double x[NX], dx[NX], slopes[NU + 1];
     Sample samples[NODES];
-    if (self->proven) return true;
+    if (ENCLOSED == 0 || self->proven) return true;
     for (int k = NODES - 1; k >= 0; --k) {
         const Point at = {node_between(a->t, b->t, k), x, watch->problem->z, watch->problem->u};
         if (self->within(self->motion, at.t, x, dx) ||
@@ -126,19 +125,15 @@ static inline bool stays(void *accepted, const Place *a, const Place *b) {
     const Point from = {a->t, x, watch->problem->z, watch->problem->u};
     return sampled_stays_within(&watch->laws, watch->switching, &from, b->t - a->t,
                                 (const Sample *)samples, self->off, a->inside, b->inside);
-#else
-    (void)accepted, (void)a, (void)b;
-    return true;
-#endif
 }
 
 /* Whether bounds prove that no relation leaves its mode in the whole step. */
 static inline bool is_quiet(Step *self, const double *x, const Place *a, const Place *b) {
-#if ENCLOSED > 0
     const Watch *watch = self->watch;
     const double *u = watch->problem->u;
     const Point at = {a->t, x, watch->problem->z, watch->problem->u};
     Spans spans;
+    if (ENCLOSED == 0) return true;
     for (int i = 0; i < NU - MODES; ++i) {
         spans.low[NX + i] = spans.high[NX + i] = u[i];
         spans.slowest[NX + i] = spans.fastest[NX + i] = 0;
@@ -149,10 +144,6 @@ static inline bool is_quiet(Step *self, const double *x, const Place *a, const P
         return true;
     return self->quintic ? stays_sharply(stays, self, self->quintic, &self->off, a, b)
                          : stays(self, a, b);
-#else
-    (void)self, (void)x, (void)a, (void)b;
-    return true;
-#endif
 }
 
 static inline bool step_freshly(void *accepted, double t, Place *found) {
@@ -181,7 +172,7 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
                               const Place *begin, Place *end, Crossing *found) {
     Switching *s = self->watch->switching;
     Place before = *begin, place;
-    ++s->rounded;
+    note_steps(s, end->t, 1);
     self->proven = false; /* that of the step before */
     self->proven = outside(begin) < 0 && outside(end) < 0 && is_quiet(self, x, begin, end);
     self->looked = times;

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -118,3 +119,88 @@ def test_rounding_does_not_add_up_over_many_rows():
     dae = model.freeze()
     found = [cosim.simulate(dae, solver=solver, outputs=["n"]).final["n"] for solver in SOLVERS]
     assert found == [100] * len(SOLVERS)  # before: 99 with cvodes
+
+
+@pytest.mark.quick_rows("cvodes-1000000000.0", "dop853-1000000.0")
+@pytest.mark.parametrize("start", [1e6, 1e9])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_no_event_is_early_by_the_steps_before_it(solver, start):
+    """y' = 1 passes a boundary shortly after a row; a fast oscillator costs many steps."""
+    model = cosim.Model("fast", stop_time=10.0, output_interval=0.5)
+    x, v = model.state("x", "1", 0.0, "angle"), model.state("v", "1/s", 50.0, "rate")
+    y, n = model.state("y", "s", 0.0, "time"), model.discrete("n", "1", 0.0, "passages")
+    model.derivative(x, v)
+    model.derivative(v, -2500 * x)
+    model.derivative(y, 1 + 0 * y)
+    later = model.parameter("later", "s", 0.1, "how long after a row")
+    model.when(y > 5 + later, {n: n + 1}, name="beyond")
+    dae, steps = model.freeze(), {"step_size": 0.01} if solver == "rk4" else {}
+    span = {"start_time": start, "stop_time": start + 10, "solver": solver}
+    rounding = 16 * np.spacing(start)
+    for later_by in (1e-3, 2 * rounding):
+        run = cosim.simulate(dae, start_values={"later": later_by}, **span, **steps)
+        assert [e.time - start for e in run.events] == pytest.approx([5 + later_by], abs=rounding)
+
+
+@pytest.mark.parametrize("start", [1e6, 1e9])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_what_a_jump_of_an_input_has_moved_beyond_has_switched(solver, start):
+    """x' = 1 is above u for 1 s, below it for 1e-4 s from its jump on, then above it again."""
+    model = cosim.Model("overtaken", stop_time=3.0, output_interval=0.25)
+    x, y = model.state("x", "m", 0.0, "way"), model.state("y", "s", 0.0, "time above u")
+    u = model.input("u", "m", 0.0, "what it is compared with")
+    model.derivative(x, 1.0)
+    model.derivative(y, ca.if_else(x > u, 1.0, 0.0))
+    steps = start + np.array([0, 1, 1, 3.0]), [[-1.0], [-1.0], [1.0001], [1.0001]]
+    options = {"start_time": start, "stop_time": start + 3, "solver": solver}
+    run = cosim.simulate(model.freeze(), inputs=cosim.InputSeries(("u",), *steps), **options)
+    rounding = 16 * np.spacing(start)
+    assert run.final["y"] == pytest.approx(2.9999, abs=rounding)
+    assert [e.time - start for e in run.events] == pytest.approx([1, 1.0001], abs=rounding)
+
+
+@pytest.mark.parametrize("start", [0.0, 1e9])
+@pytest.mark.parametrize("power", [3, 5])
+def test_what_slowly_leaves_its_boundary_does_so_at_once(power, start):
+    """x = t^power / power! from the start on: x > 0 holds at all later times."""
+    model = cosim.Model("departing", stop_time=2.0)
+    chain = [model.state(f"x{i}", "1", 0.0, "way") for i in range(power)]
+    y = model.state("y", "s", 0.0, "time beyond")
+    for this, following in zip(chain, [*chain[1:], 1 + 0 * y], strict=True):
+        model.derivative(this, following)
+    model.derivative(y, ca.if_else(chain[0] > 0, 1.0, 0.0))
+    run = cosim.simulate(model.freeze(), start_time=start, stop_time=start + 2, solver="dop853")
+    assert run.final["y"] == pytest.approx(2, abs=1e-12)
+
+
+@pytest.mark.parametrize("start", [1e6, 1e9])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk", "rosenbrock"])
+def test_rows_and_events_are_as_accurate_from_a_late_start_on(solver, start):
+    model = cosim.Model("swing", stop_time=3.0, output_interval=0.25)
+    x, v = model.state("x", "1", 0.0, "angle"), model.state("v", "1/s", 1.0, "rate")
+    n = model.discrete("n", "1", 0.0, "passages")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.when(x > 0.5, {n: n + 1}, name="half")
+    span = {"start_time": start, "stop_time": start + 3, "relative_tolerance": 1e-10}
+    run = cosim.simulate(model.freeze(), solver=solver, **span)
+    assert np.abs(run["x"] - np.sin(run.time - start)).max() < 1e-8  # measured 3e-9, cvodes
+    assert [e.time - start for e in run.events] == pytest.approx([np.pi / 6], abs=1e-15 * start)
+
+
+@pytest.mark.parametrize(("start", "period"), [(1e6, 1e-9), (1e9, 1e-6)])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4", "FMU"])
+def test_motion_between_samples_that_are_few_roundings_apart_adds_up(
+    solver, start, period, tmp_path
+):
+    model = cosim.Model("sampled", stop_time=1.0)
+    x, n = model.state("x", "s", 0.0, "time"), model.discrete("n", "1", 0.0, "samples")
+    model.derivative(x, 1 + 0 * x)
+    model.every(period, {n: n + 1}, name="sample")
+    dae, length = model.freeze(), 100 * period
+    span = {"start_time": start, "stop_time": start + length, "output_interval": length / 2}
+    if solver == "FMU":
+        run = cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "sampled.fmu"), **span)
+    else:
+        run = cosim.simulate(dae, solver=solver, **span)
+    np.testing.assert_allclose(run["x"], run.time - start, rtol=1e-12)

@@ -123,3 +123,21 @@ def test_order_of_declarations_changes_no_assignment(order):
     parts = {"a": counter(order, "a"), "b": counter(("when",), "b"), "c": counter(order, "c")}
     run = simulate(cosim.couple(parts, {}).dae, "dop853")
     assert [run.final[f"{part}.n"] for part in parts] == [8, 8, 8]
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.1, 6, 25))
+def test_rounding_of_large_terms_violates_no_constraint(angle):
+    """A satellite at rest, 7000 km from the center, is given a speed along its circle."""
+    length = 7e6
+    model = Model("satellite", stop_time=0.5)
+    x = model.state("x", "m", length * np.cos(angle), "position along x")
+    y = model.state("y", "m", length * np.sin(angle), "position along y")
+    u, v = model.state("u", "m/s", 0.0, "speed along x"), model.state("v", "m/s", 0.0, "along y")
+    center = (u**2 + v**2) / length**2
+    for state, rate in ((x, u), (y, v), (u, -center * x), (v, -center * y)):
+        model.derivative(state, rate)
+    model.invariant("length", ca.vertcat(x, y), x**2 + y**2 - length**2, "the distance")
+    model.invariant("turning", ca.vertcat(u, v), x * u + y * v, "the direction")
+    model.when(model.t >= 0.3, {u: -7000 * y / length, v: 7000 * x / length}, name="thrust")
+    run = simulate(model.freeze())
+    assert np.hypot(run.final["u"], run.final["v"]) == pytest.approx(7000, rel=1e-8)

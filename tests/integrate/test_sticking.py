@@ -285,3 +285,16 @@ def test_what_comes_to_rest_at_a_boundary_does_so_at_every_scale(solver):
         run = cosim.simulate(model.freeze(), solver=solver, **options)
         assert run.final["x"] / size == pytest.approx(0, abs=1e-15)
         assert run.final["n"] == 0
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_stick_ends_at_its_time_whatever_the_unit_of_the_speed(size, solver):
+    """Friction holds until the load, which rises as 2 t, exceeds it."""
+    model = cosim.Model("load", stop_time=1.0, output_interval=0.1)
+    scale = model.parameter("scale", "m/s2", 1.0, "unit of the acceleration")
+    v = model.state("v", "m/s", 0.0, "speed", nominal=size)
+    model.derivative(v, scale * (2 * model.t - ca.sign(v)))
+    run = cosim.simulate(model.freeze(), solver=solver, start_values={"scale": size})
+    assert [event.time for event in run.events] == pytest.approx([0.5], abs=1e-11)
+    assert run.final["v"] == pytest.approx(0.25 * size, rel=1e-8)

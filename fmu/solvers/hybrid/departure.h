@@ -7,8 +7,9 @@
 #include "sliding.h"
 
 static const double FARTHEST = 1e-1; /* look, relative to 1 s or a shorter run, ... */
-static const double NEAREST = 1e-9;  /* ... and the first one */
-enum { FURTHER = 4 };                /* how many times as far the next one is */
+static const double NEAREST = 1e-9;  /* ... and the first one, but for the rounding of time, ... */
+static const double NEAR_ENOUGH = 1e-3; /* ... which leaves it so near beside the farthest one */
+enum { FURTHER = 4 };                   /* how many times as far the next one is */
 /* Growth from a look to the next, between those of the first and the fourth power of time, which
  * the method follows; the growth of rounding in an unstable motion does not stay the same. */
 static const double LEAST_GROWTH = 3, MOST_GROWTH = 512, SAME_GROWTH = 1.4;
@@ -96,8 +97,8 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
         for (int i = 0; i < MODES; i++) any |= open[i] && !seems_to_rest(s, &looks[0], i);
     }
     int known = 0;
-    for (double h = fmax(NEAREST * scale, SAME_TIME * fabs(from->t)); any && h <= last;
-         h *= FURTHER) {
+    const double rounded = fmin(SAME_TIME * fabs(from->t), NEAR_ENOUGH * last);
+    for (double h = fmax(NEAREST * scale, rounded); any && h <= last; h *= FURTHER) {
         looks[0] = looks[1];
         looks[1] = looks[2];
         if (!look_after(laws, s, from, seen, h, &looks[2])) return;

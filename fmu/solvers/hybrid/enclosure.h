@@ -8,8 +8,6 @@
 #include "quintic.h"
 #include "switching.h"
 
-#if ENCLOSED > 0
-
 typedef double Sample[NX + NU]; /* states and inputs at a time */
 
 static inline void take_span(const Span *span, int i, Spans *found) {
@@ -59,8 +57,8 @@ static inline Spanned guarded(const double ends[2][2], double sign, double bound
 static inline bool stays_within(const Laws *laws, const Switching *s, const Point *at,
                                 double length, const Spans *spans, const double a[],
                                 const double b[]) {
-    double lows[2 * ENCLOSED], highs[2 * ENCLOSED];
-    if (is_sliding(s) || !(length > 0)) return true;
+    double lows[2 * ENCLOSED + 1], highs[2 * ENCLOSED + 1];
+    if (ENCLOSED == 0 || is_sliding(s) || !(length > 0)) return true;
     if (!laws->enclose(laws->owner, at, length, spans, lows, highs)) return false;
     for (int row = 0; row < ENCLOSED; row++) {
         const int i = laws->enclosed[row];
@@ -109,7 +107,5 @@ static inline bool stays_by_slopes(const Laws *laws, const Switching *s, const P
     }
     return stays_within(laws, s, at, length, spans, a, b);
 }
-
-#endif
 
 #endif

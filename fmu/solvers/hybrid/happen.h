@@ -139,6 +139,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
+    const double late = laws->blind ? SAME_TIME : located(s); /* as importers come to an event */
     double wait = 0; /* until all that only rounding keeps within its mode is beyond rounding */
     for (int i = 0; i < MODES; i++)
         if (is_passing(s, t, i, inside[i], rates[i])) wait = fmax(wait, inside[i] / -rates[i]);
@@ -164,7 +165,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
         } else {
             const double speed = fabs(rates[i]) * scale, gap = inside[i] - s->slack[i];
             const double ahead = fmax(LOCATED * speed, -rates[i] * wait);
-            const bool crossed = gap <= ahead && gap >= -SAME_TIME * speed - 2 * s->slack[i];
+            const bool crossed = gap <= ahead && gap >= -late * speed - 2 * s->slack[i];
             /* where rates of inputs are unknown, an argument that has passed its boundary against
              * the known rate has been moved there, and its value decides */
             const double past = past_boundary(laws, s, &seen, i);

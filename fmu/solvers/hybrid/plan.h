@@ -232,12 +232,6 @@ static inline double search_bounded(const Laws *laws, const Point *at, double no
     return NEVER_AGAIN;
 }
 
-#else
-static inline double search_bounded(const Laws *laws, const Point *at, double now, double end,
-                                    double due[]) {
-    (void)laws, (void)at, (void)now, (void)end, (void)due;
-    return NEVER_AGAIN;
-}
 #endif
 
 /* -- the plan --------------------------------------------------------------------------------- */
@@ -260,10 +254,11 @@ static inline void plan(const Laws *laws, Switching *s, const Point *at, double 
         s->next = fmin(s->next, further ? end : s->due[i]);
         if (!relation->linear && s->due[i] != NEVER_AGAIN) s->due[i] = JUMPS;
     }
-    if (BOUNDED == 0) return;
+#if BOUNDED > 0
     const double until = fmin(s->next, end) + 8 * ulp(fmin(s->next, end));
     const double first = search_bounded(laws, at, now, until, s->due);
     s->next = fmin(s->next, first == NEVER_AGAIN && !ends ? end : first);
+#endif
 }
 
 #endif

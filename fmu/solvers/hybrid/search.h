@@ -11,6 +11,11 @@
 enum { MOST_TRIALS_OF_A_TIME = 60, MOST_OF_NEWTON = 8 };
 enum { MOST_BEYOND = 2 }; /* steps of rounding beyond a crossing */
 
+/* By how much rounding moves a margin; that of what slides is one of its mode, a number near 1. */
+static inline double slack_of(const Switching *s, int i) {
+    return s->state[i] == SLIDES ? fmin(s->slack[i], LEAVING / 2) : s->slack[i];
+}
+
 /* The margins at a point. */
 static inline bool margins_at(const Laws *laws, const Switching *s, const Point *at, Place *found) {
     Seen seen;
@@ -60,11 +65,10 @@ static inline double better_time(Bounds *self, double t, double inside, double r
 /* Whether a relation has, or may have, left its mode between two places, be it by rounding;
  * `goes_on`: the motion goes on as it is. */
 static inline int is_suspect(const Switching *s, const Place *a, const Place *b, bool goes_on) {
-    const double *slack = s->slack;
     Place first = *a, last = *b;
     for (int i = 0; i < MODES; ++i) {
-        first.inside[i] -= slack[i];
-        last.inside[i] -= slack[i];
+        first.inside[i] -= slack_of(s, i);
+        last.inside[i] -= slack_of(s, i);
         if (last.inside[i] < 0 || may_dip(&first, &last, i, SHALLOW)) return 1;
     }
     return goes_on && leaving_at(s, b) >= 0;
@@ -95,14 +99,14 @@ static inline double rounding_of_time(const Place *place, int i) {
 
 /* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
  * that is outside and comes back has crossed before all that are on their way out. */
-static inline int first_at(const Place *place, const double slack[], int found) {
+static inline int first_at(const Place *place, const Switching *s, int found) {
     double least = INFINITY;
     int first = found;
     for (int i = 0; i < MODES; ++i) {
-        const double rate = place->rates[i], inside = place->inside[i] - slack[i];
-        const double tiny = rounding_of_time(place, i);
+        const double slack = slack_of(s, i), tiny = rounding_of_time(place, i);
+        const double rate = place->rates[i], inside = place->inside[i] - slack;
         const bool beyond = inside < -tiny;
-        if (rate >= 0 && place->inside[i] < -(slack[i] + tiny)) return i;
+        if (rate >= 0 && place->inside[i] < -(slack + tiny)) return i;
         if (!(rate < 0) || !(i == found || beyond) || !(-inside / rate < least)) continue;
         least = -inside / rate;
         first = i;
@@ -114,7 +118,6 @@ static inline int first_at(const Place *place, const double slack[], int found) 
  * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
-    const double *slack = s->slack;
     Bounds bounds = {begin, end, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
@@ -123,12 +126,12 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         const double t = crossing->time;
         Place place;
         if (!fresh(motion, t, &place)) return FAILS;
-        const int i = crossing->relation = first_at(&place, slack, crossing->relation);
-        const double speed = fabs(place.rates[i]);
-        left = place.inside[i] - slack[i];
+        const int i = crossing->relation = first_at(&place, s, crossing->relation);
+        const double speed = fabs(place.rates[i]), slack = slack_of(s, i);
+        left = place.inside[i] - slack;
         rises = place.rates[i] > 0;
-        const double most = slack[i] + rounding_of_time(&place, i);
-        ahead = fmax(most, slack[i] + located(s) * time_scale(s, t) * speed);
+        const double most = slack + rounding_of_time(&place, i);
+        ahead = fmax(most, slack + located(s) * time_scale(s, t) * speed);
         const double longest = fmin(t - begin, SAME_TIME * fabs(t));
         crossing->since = place.rates[i] < 0 ? t - fmin(ahead / speed, longest) : t;
         crossing->time = better_time(&bounds, t, left, place.rates[i]);

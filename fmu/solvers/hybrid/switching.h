@@ -57,6 +57,11 @@ static inline double largest_time(const Switching *s, double t) {
     return fmax(fabs(s->start), fabs(t));
 }
 
+/* Notes steps of a solver, which rounds its own time, that since the start, so often in each. */
+static inline void note_steps(Switching *s, double t, double roundings) {
+    s->rounded += roundings * fmin(1, time_scale(s, t - s->start) / time_scale(s, t));
+}
+
 /* Relative distance of times that may be one, as rounding of events adds up. */
 static inline double located(const Switching *s) {
     return fmin(LOCATED + s->rounded * DBL_EPSILON, SAME_TIME);

@@ -11,6 +11,7 @@ from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.relations import replayed
 from cosim.memo import cached_per_thread
 
+_ROUNDING = 1e-14  # relative, of a term
 _SUMS = {ca.OP_ADD: 1, ca.OP_SUB: -1}
 
 
@@ -23,7 +24,7 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
     dae = system.dae
     pairs = zip(system.of_time, system.relations, strict=True)
     times = column(int(own) * r.argument for own, r in pairs)
-    defects = ca.vertcat(SX(0, 1), *(ca.norm_inf(law.residual) for law in dae.invariants))
+    defects = ca.vertcat(SX(0, 1), *(_defect(law.residual, dae.x) for law in dae.invariants))
     timed = [times, ca.densify(ca.jtimes(times, dae.t, 1))]
     seen = system.watching("seen")
     given = seen.mx_in()
@@ -43,6 +44,12 @@ def law_functions(system: Hybrid) -> list[ca.Function]:
         ca.Function("model_conditions", dae.arguments, decisions, {"cse": True}),
         *bounds,
     ]
+
+
+def _defect(residual: SX, x: SX) -> SX:
+    """Return by how much states violate a constraint, beyond the rounding of its terms."""
+    rounding = _ROUNDING * ca.fabs(ca.jacobian(residual, x)) @ ca.fabs(x)
+    return ca.norm_inf(ca.fmax(ca.fabs(residual) - rounding, 0))
 
 
 def law_sizes(system: Hybrid) -> dict[str, int]:

@@ -266,9 +266,9 @@ class Kernel:
         self._pass(at)
         self._library.cosim_note_least(ctypes.byref(self._call))
 
-    def note_steps(self, steps: int) -> None:
-        """Take that a solver which knows no events has rounded time in some steps."""
-        self._library.cosim_note_steps(ctypes.byref(self._call), _DOUBLE(steps))
+    def note_steps(self, t: float, steps: int) -> None:
+        """Take that a solver which knows no events has rounded time in some steps up to a time."""
+        self._library.cosim_note_steps(ctypes.byref(self._call), _DOUBLE(t), _DOUBLE(steps))
 
     @property
     def left(self) -> Left:

@@ -99,29 +99,33 @@ class Piece:
     def _run(self, problem: Problem, times: Vector, x: Vector, z: Vector) -> Reached:
         u, _ = self._inputs(times[:1])
         values = Values(x, self.p, u[0])
-        # no solver begins with an output time so near, and the state is the same there
-        apart = times > times[0] + _SAME_INSTANT * np.spacing(abs(times[0]))
-        apart[0] = True
-        same = len(times) - int(apart.sum())
-        if not len(x) or same + 1 == len(times):
-            states, unknowns = (np.repeat(row[:, None], len(times), axis=1) for row in (x, z))
-            return Reached(states, unknowns, Counts(0, 0, 0), Ending(), 0.0)
-        if same:
-            ahead = [np.repeat(row[:, None], same, axis=1) for row in (x, z)]
-            found = self._run(problem, times[apart], x, z)
-            states = np.hstack((ahead[0], found.states))
-            return replace(found, states=states, algebraics=np.hstack((ahead[1], found.algebraics)))
+        # no solver begins with an output time so near, up to which the motion is a line
+        near = times <= times[0] + _SAME_INSTANT * np.spacing(abs(times[0]))
+        if not len(x) or near.sum() > 1:
+            line = self._line(times[near] if len(x) else times, x, z)
+            if line[0].shape[1] == len(times):
+                return Reached(*line, Counts(0, 0, 0), Ending(), 0.0)
+            found = self._run(problem, np.append(times[:1], times[~near]), x, z)
+            further = found.states[:, 1:], found.algebraics[:, 1:]
+            states, unknowns = (np.hstack(pair) for pair in zip(line, further, strict=True))
+            return replace(found, states=states, algebraics=unknowns)
         if times.tobytes() != problem.times:
             problem = replace(problem, times=times.tobytes())
         left = None if self.kernel is None else self.kernel.left
         start = InitialState(x, z, values, self.began, left)
         found = scaled_call(problem, self.solver, start, in_pieces=True)
         if self.kernel is not None and found.events is None:
-            self.kernel.note_steps(found.counts.steps or 0)
+            self.kernel.note_steps(times[-1], found.counts.steps or 0)
         if found.events is None or not len(found.events):
             constant = self.system.constant  # a solver may change them by rounding
             found.states[constant] = x[constant, None]
         return found
+
+    def _line(self, times: Vector, x: Vector, z: Vector) -> tuple[Vector, Vector]:
+        """Return states on the line from those at the first of some times, and the unknowns."""
+        rates = self._slopes(times[:1], x[None], z[None])[0] if len(x) else x
+        moving = np.where(np.isfinite(rates), rates, 0)
+        return x[:, None] + moving[:, None] * (times - times[0]), np.tile(z[:, None], len(times))
 
     def _inputs(self, times: Vector) -> tuple[Vector, Vector]:
         """Return inputs with modes, and their slopes, one row per time."""

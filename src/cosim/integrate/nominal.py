@@ -26,6 +26,7 @@ from cosim.series.samples import NOT_GIVEN
 
 _ROUNDING = 1e-14  # relative, of numbers that large unknowns make
 _SAME_TIMES = 64  # units in the last place of a time
+_OF_FIXED_STEPS = 1e-12  # relative error that a method without error control may have
 _CLOSE_SHARES = 1e-8  # CasADi's SUNDIALS interfaces pass output times within 1e-9 of the present
 
 
@@ -257,7 +258,8 @@ def in_own_time(
     length = end - begin
     unit = power(_SAME_TIMES * np.spacing(max(-begin, end)) / length)
     shares = (grid - begin) / length
-    if in_pieces:
+    error = solver.tolerance.pair[0] if isinstance(solver, AdaptiveSolver) else _OF_FIXED_STEPS
+    if in_pieces and unit <= error:
         shares = np.round(shares / unit) * unit
     cheap = problem.compiled and solver.takes_times
     if cheap or np.diff(shares).min() <= _CLOSE_SHARES:

@@ -18,6 +18,7 @@ from cosim.errors import (
     InitialConditionError,
     Interrupted,
     ParameterError,
+    SolverError,
     UnknownName,
     UsageError,
 )
@@ -404,3 +405,25 @@ def test_runs_count_from_the_end_too():
     assert many.reason(-2) == "" != many.reason(-1) == many.reason(1)
     assert many.run(-2).status == "complete" != many.run(-1).status == many.run(1).status
     assert many.run(-1).time[-1] <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("on_invalid", "state", "rows"), [("warn", "failed", 1), ("stop", "stopped", 0)]
+)
+def test_a_start_without_derivative_is_told_as_in_a_single_run(on_invalid, state, rows):
+    """The limit, beyond which the equations have no value, is left at the start already."""
+    model = Model("log", stop_time=1.0)
+    end = model.parameter("end", "m", 2.0, "where the range ends")
+    x, v = model.state("x", "m", 0.0, "way"), model.state("v", "m/s", 1.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, ca.log(end - x))
+    model.limit(end - x, "x is before the end")
+    dae, ends = model.freeze(), [2.0, 0.0, -1.0]
+    many = simulate_many(dae, {"end": ends}, on_invalid=on_invalid, solver="dop853")
+    assert [str(found) for found in many.states] == ["complete", state, state]
+    assert np.isfinite(many["x"]).sum(axis=1).tolist() == [many["x"].shape[1], rows, rows]
+    for i in (1, 2):
+        with pytest.raises(SolverError) as raised:
+            cosim.simulate(dae, start_values={"end": ends[i]}, on_invalid=on_invalid)
+        assert len(raised.value.partial["x"]) == rows
+        assert many.invalid[i] == "invalid from 0 s: not fulfilled: x is before the end"
