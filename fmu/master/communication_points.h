@@ -115,7 +115,8 @@ static inline int has_switched(const Coupling *self, const Part *part) {
  * it, and what happens in others first would undo its cause. */
 static inline int wait_together(Coupling *self) {
     System *system = self->system;
-    self->next.t = fmin(self->now.t + FIRST * (system->stop - system->start), system->stop);
+    self->next.t = self->now.t + FIRST * (system->stop - system->start);
+    if (system->ends) self->next.t = fmin(self->next.t, system->stop);
     if (!self->ends_at_events || same_time(system, self->next.t, self->now.t)) return 0;
     self->middle = INFINITY;
     predict(self, 2, &self->next);

@@ -208,13 +208,14 @@ static inline void copy_int(double **place, int *own, int in) {
     *own = (int)count;
 }
 
-enum { OWN_NUMBERS = 12 };
+enum { OWN_NUMBERS = 13 };
 
 static inline void copy_own_numbers(Coupling *self, double **place, int in) {
     System *system = self->system;
     double stop = system->stop;
     copy_count(place, &self->known, in);
     copy_int(place, &self->rateless, in);
+    copy_int(place, &self->looked, in);
     copy_int(place, &self->agreed_at, in);
     copy_count(place, &self->given_steps, in);
     copy_int(place, &self->slow, in);
@@ -262,6 +263,7 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
     if (!in) return count;
     system->time = self->now.t;
     system->rows = 1;
+    self->powers = 0;
     forget_event(self);
     carry_out(self, find_held);
     return count;

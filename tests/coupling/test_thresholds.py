@@ -64,24 +64,60 @@ def test_an_input_that_turns_back_to_a_threshold_passes_it_there():
     assert "note" not in run.stats
 
 
-@pytest.mark.slow_rows("{'macro_step': 0.1}-3.0")
-@pytest.mark.parametrize("size", [1.0, 3.0])
-@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.1}], ids=str)
-def test_what_two_relays_see_at_one_instant_happens_in_both(settings, size):
-    """x' = q, q = -1 above 0.3 and 1 below 0: the second relay saw x only touch 0.3, 4 off."""
+def as_files(system, folder):
+    """Return a system whose parts are files, which sessions open part by part."""
+    wires = {".".join(wire.input): ".".join(wire.output) for wire in system.connections}
+    files = {
+        name: cosim.export_fmu(part.subject, folder / f"{name}.fmu", fmi=3)
+        for name, part in system.parts.items()
+    }
+    return cosim.couple(files, wires, stop_time=1.0)
+
+
+def test_a_session_that_goes_back_to_a_threshold_leaves_it_as_before(tmp_path):
+    """The relay was 3e-4 s late: the look whether it leaves at once was made once only."""
+    system = as_files(heated(4, on=True)[0], tmp_path)
+    with cosim.open(system, accuracy=1e-3) as session:
+        start, found = session.save(), []
+        for _ in range(2):
+            session.restore(start)
+            events = session.advance(to=0.1)
+            found.append((session.get().tobytes(), [event.time for event in events]))
+    assert found[0] == found[1]
+    assert found[0][1] == [0.0]
+
+
+def two_relays(size):
+    """x' = q, q = -1 above 0.3 and 1 below 0, as two relays see it: x = 0.3 - |t mod 0.6 - 0.3|."""
     parts, wires = {}, {}
     for name, factor in (("first", 1.0), ("second", size)):
         mass = cosim.Model(name, stop_time=1.0, output_interval=0.07)
         q = mass.input("q", "1", 1.0, "speed")
         mass.derivative(mass.state("x", "1", 0.0, "place"), q)
-        relay = cosim.Model(f"{name}_relay")
+        relay = cosim.Model(f"{name}_relay", stop_time=1.0)
         seen = relay.input("seen", "1", 0.0, "place of the first")
         q = relay.discrete("q", "1", 1.0, "speed")
         relay.when(factor * seen > factor * 0.3, {q: -1}, name="back")
         relay.when(seen < 0, {q: 1}, name="forth")
         parts |= {name: mass.freeze(), f"{name}_relay": relay.freeze()}
         wires |= {f"{name}.q": f"{name}_relay.q", f"{name}_relay.seen": "first.x"}
-    run = cosim.couple(parts, wires).simulate(**settings)
+    return cosim.couple(parts, wires)
+
+
+@pytest.mark.slow_rows("{'macro_step': 0.1}-3.0")
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("settings", [{"accuracy": 1e-6}, {"macro_step": 0.1}], ids=str)
+def test_what_two_relays_see_at_one_instant_happens_in_both(settings, size):
+    """The second relay saw x only touch 0.3, 4 off."""
+    run = two_relays(size).simulate(stop_time=10.0, **settings)
     for name in ("first.x", "second.x"):
         exact = 0.3 - np.abs(run.time % 0.6 - 0.3)
         np.testing.assert_allclose(run[name], exact, rtol=0, atol=1e-12)
+
+
+def test_relays_of_a_session_that_lasts_longer_than_usual_see_one_instant(tmp_path):
+    """From the usual stop time on, x was 3.6 off after 5 s."""
+    with cosim.open(as_files(two_relays(3.0), tmp_path), macro_step=0.1) as session:
+        session.advance(to=5.0)
+        places = session["first.x"], session["second.x"]
+    assert places == pytest.approx([0.2, 0.2], abs=1e-12)  # measured 1e-15
