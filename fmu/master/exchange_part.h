@@ -164,7 +164,8 @@ static inline int outputs_at(Stepped *self, double t, const double *x, const uin
                                : model->get_3(instance, references, n, y, n));
 }
 
-static const double SHARE = 1e-5; /* of a solver's step, for differences */
+static const double SHARE = 1e-5;      /* of a solver's step, for differences */
+static const double LEAST_MOVE = 1e-8; /* of states in them, of their size */
 
 /* Derivatives of outputs by time while the inputs stay, by differences along the motion. */
 static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
@@ -179,10 +180,13 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     int wrong = n > TOGETHER || slope(&solver->ode, t, solver->x, solver->k[0]);
     double d = SHARE * span / 50;
     if (!wrong && self->model->run.states) {
-        d = fmin(d, SHARE * first_step(&solver->ode, t, span, solver->x, solver->k));
+        const double rate =
+            self->model->run.relative_tolerance * norm(&solver->ode, solver->k[0], solver->x);
+        const double own = SHARE * first_step(&solver->ode, t, span, solver->x, solver->k);
+        d = fmin(d, fmax(own, LEAST_MOVE / rate));
         wrong = is_final(solver);
     }
-    d = fmax(d, 1e4 * DBL_EPSILON * fabs(t));
+    d = t + fmax(d, 1e4 * DBL_EPSILON * fabs(t)) - t; /* as both times are rounded */
     for (int side = -1; !wrong && side <= 1; side += 2) {
         for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + side * d * solver->k[0][i];
         wrong = outputs_at(self, t + side * d, x, references, n, side < 0 ? before : rates);
