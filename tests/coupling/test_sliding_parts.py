@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import cosim
-from cosim.errors import SolverError
+from cosim.coupling.co_simulation import CoSimulation
+from cosim.errors import Interrupted, SolverError
 
 
 def wheel(name, inertia, drive, start):
@@ -78,6 +79,22 @@ def test_parts_that_stick_as_the_run_begins_are_one_model(start, accuracy):
     run = cosim.couple(parts, {"a.T": "b.R", "b.u": "a.w"}).simulate(accuracy=accuracy)
     for name in ("a.w", "b.w"):
         np.testing.assert_allclose(run[name], start + 5 / 0.7 * run.time, rtol=0, atol=1e-7)
+
+
+def test_an_interrupted_run_of_parts_that_slide_has_their_own_names(monkeypatch):
+    """The names were those of the one part that stands for them."""
+    whole = CoSimulation.run
+
+    def interrupted(self, *request):
+        run = whole(self, *request)
+        if "a_b_c" in self.parts:
+            raise Interrupted("interrupted", partial=run)
+        return run
+
+    monkeypatch.setattr(CoSimulation, "run", interrupted)
+    with pytest.raises(Interrupted) as caught:
+        cosim.couple(*sliding_wheels()).simulate(stop_time=1.0, macro_step=0.01, outputs=["a.w"])
+    assert [*caught.value.partial.names] == ["a.w"]
 
 
 def test_sliding_parts_hide_no_unstable_macro_step():

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -330,11 +330,9 @@ class System:
             return self._co_simulation.run(settings, values, recorded)
         except EndlessEvents as error:
             names = sliding_parts(self.parts, self.connections, error.part)
-            try:
+            with suppress(SolverError, UsageError):
                 if names:
                     return self._run_merged(names, settings, given, recorded)
-            except (SolverError, UsageError):
-                pass
             if not error.partial.complete:
                 raise error from None
         return self._co_simulation.run(replace(settings, merges=False), values, recorded)
@@ -351,7 +349,12 @@ class System:
             own = merged.changes(self.parts, self.connections, self.start_values, self.unused)
             self._merged[names] = System(self.name, **own)
         inside = {merged.inside(name): value for name, value in given.items()}
-        run = self._merged[names]._run(settings, inside, list(map(merged.inside, recorded)))
+        try:
+            run = self._merged[names]._run(settings, inside, list(map(merged.inside, recorded)))
+        except Interrupted as error:
+            if isinstance(error.partial, Trajectory):
+                error.partial = merged.outside(error.partial, recorded)
+            raise
         return merged.outside(run, recorded)
 
     def _recorded(self, names: Sequence[str] | None) -> list[tuple[str, str]]:
