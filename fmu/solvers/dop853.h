@@ -38,15 +38,16 @@ static const double LEAST_FIRST = 1e-12;
 /* A step over which the error of order 8 is about the tolerance, from two derivatives. */
 static inline double first_step(const Ode *ode, double t, double span, const double *x, Slopes k) {
     const double size = norm(ode, x, x), rate = norm(ode, k[0], x);
+    const double shortest = LEAST_FIRST * fmax(fabs(t), span);
     double h = size > 1e-5 && rate > 1e-5 ? 0.01 * size / rate : 1e-6;
     double y[NX], change[NX];
-    h = fmin(fmax(h, LEAST_FIRST * fmax(fabs(t), span)), span);
+    h = fmin(fmax(h, shortest), span);
     for (int i = 0; i < NX; ++i) y[i] = x[i] + h * k[0][i];
     if (slope(ode, t + h, y, k[1]) || !is_finite(k[1])) return h;
     for (int i = 0; i < NX; ++i) change[i] = k[1][i] - k[0][i];
     const double steepest = fmax(rate, norm(ode, change, x) / h);
     const double next = steepest > 1e-15 ? pow(0.01 / steepest, 1.0 / 8) : fmax(1e-6, 1e-3 * h);
-    return fmin(fmin(100 * h, next), span);
+    return fmin(fmax(fmin(100 * h, next), shortest), span);
 }
 
 /* The slopes of one step and the state at its end. Returns 0 where all of them have values. */

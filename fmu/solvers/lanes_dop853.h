@@ -76,7 +76,7 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
     const V steepest = larger(rate, norm(self, batch, self->sum, self->x) / h);
     const V next = pick(steepest > every(1e-15), eighth_root(every(0.01) / steepest),
                         larger(every(1e-6), every(1e-3) * h));
-    const V best = smaller(smaller(every(100) * h, next), every(span));
+    const V best = smaller(larger(smaller(every(100) * h, next), shortest), every(span));
     return pick(is_finite(self->k[1]), best, h);
 }
 

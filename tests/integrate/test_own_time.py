@@ -140,3 +140,18 @@ def test_late_times_do_not_round_steps_of_many_runs():
     t = np.arange(41) * 0.125
     exact = np.outer(starts["x"], np.cos(2 * t))
     np.testing.assert_allclose(runs["x"], exact, rtol=0, atol=5e-8)
+
+
+@pytest.mark.parametrize("late", [LATE, 1e12])
+def test_what_rests_at_a_late_time_is_simulated(late, tmp_path):
+    """dop853 began with 1e-6 s: 'step size too small', and in an FMU 'a singularity'."""
+    model = Model("rest", stop_time=5.0, output_interval=1.0)
+    x, v = model.state("x", "m", 0.0, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -4 * x)
+    dae, times = model.freeze(), {"start_time": late, "stop_time": late + 5}
+    runs = [cosim.simulate(dae, solver="dop853", **times)]
+    runs.append(cosim.simulate_many(dae, start_values={"x": np.zeros(3)}, **times))
+    runs.append(cosim.simulate_fmu(cosim.export_fmu(dae, tmp_path / "rest.fmu", fmi=2), **times))
+    for run in runs:
+        np.testing.assert_array_equal(run["x"], 0)
