@@ -46,7 +46,7 @@ static inline int status_of(Stepped *self, int how) {
 
 /* The distance from which on the master tells times apart, some times over. */
 static inline double resolution(const Run *run, double t) {
-    const double rounding = 4 * DBL_EPSILON * fmax(run->stop - run->start, fabs(t));
+    const double rounding = rounding_of_times(run->stop - run->start, t);
     return 4 * fmax(rounding, 1e-12 * (t - run->start));
 }
 

@@ -54,8 +54,8 @@ typedef struct {
 
 /* Whether two times of a run are the same but for rounding. */
 static inline int same_time(const System *system, double a, double b) {
-    const double rounding =
-        4 * DBL_EPSILON * (system->stop - system->start); /* at the start, too */
+    const double later = fmin(fmax(fabs(a), fabs(b)), DBL_MAX);
+    const double rounding = rounding_of_times(system->stop - system->start, later);
     return fabs(a - b) < rounding || at_one_time(a, b, system->start, 1e-12);
 }
 

@@ -53,6 +53,12 @@ static inline int at_one_time(double a, double b, double start, double relative)
            fabs(a - b) < fmin(fmax(rounding, relative * since), INFINITY); /* not if never */
 }
 
+/* The distance below which rounding makes times of a coupled system one. FMUs tell the time of an
+ * event to 8 roundings. */
+static inline double rounding_of_times(double span, double t) {
+    return DBL_EPSILON * fmax(4 * span, 16 * fabs(t));
+}
+
 static inline int near(const Run *run, double a, double b) {
     return at_one_time(a, b, run->start, 1e-9);
 }

@@ -480,3 +480,14 @@ def test_the_order_of_parts_with_events_changes_no_bit(settings):
     assert first.events == second.events
     for name in first.names:
         np.testing.assert_array_equal(first[name], second[name])
+
+
+@pytest.mark.parametrize(("start", "accuracy"), [(1e5, 2e-6), (5e5, 1e-5), (-5e5, 1e-5)])
+def test_an_event_that_a_part_tells_to_rounding_of_a_late_time_is_one_instant(start, accuracy):
+    """Endless macro steps of 8 roundings of the time before."""
+    system = cosim.couple(*ball())
+    times = {"start_time": start, "stop_time": start + 1, "output_interval": 0.05}
+    run = system.simulate(accuracy=accuracy, **times)
+    early = system.simulate(accuracy=accuracy, stop_time=1.0, output_interval=0.05)
+    assert len(run.events) == len(early.events) == 1
+    np.testing.assert_allclose(run["ball.x"], early["ball.x"], rtol=0, atol=1e-8)
