@@ -147,7 +147,7 @@ static inline int part_passes_event(Coupling *self, Part *part) {
 static inline int step_through(Coupling *self, Part *part, double from, double to) {
     const double begin = self->now.t;
     double t = from;
-    for (int n = 0; n < MOST_UPDATES; ++n) {
+    for (int standstills = 0; standstills < MOST_UPDATES && !halted; ++standstills) {
         if (drive(self, part, t - begin, to - t)) return PART_FAILED;
         self->refused = 0;
         stepping.coupling = self;
@@ -159,9 +159,11 @@ static inline int step_through(Coupling *self, Part *part, double from, double t
         if (how == AT_EVENT && passes) how = part_passes_event(self, part);
         if (how != STEPPED) return how;
         if (self->refused) return PART_FAILED;
+        if (!same_time(self->system, part->reached, t)) standstills = 0;
         t = part->reached;
         if (t >= to || same_time(self->system, t, to)) return STEPPED;
     }
+    failed(&self->fmu, "the iteration of events at one instant", FAILED);
     return PART_FAILED;
 }
 

@@ -482,6 +482,21 @@ def test_the_order_of_parts_with_events_changes_no_bit(settings):
         np.testing.assert_array_equal(first[name], second[name])
 
 
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel"])
+def test_a_macro_step_holds_more_than_a_thousand_events(method):
+    """'It failed at 0 s' before."""
+    saw, lag = part("saw"), part("lag")
+    x, u = saw.state("x", "1", 0.0, "x"), saw.input("u", "1", 0.0, "u")
+    n = saw.discrete("n", "1", 0.0, "number of teeth")
+    saw.derivative(x, 1 + 0 * u)
+    saw.when(x > 0.001, {x: x - 0.001, n: n + 1}, name="tooth")
+    w = lag.state("w", "1", 0.0, "w")
+    lag.derivative(w, lag.input("u", "1", 0.0, "u") - w)
+    system = cosim.couple({"a": saw.freeze(), "b": lag.freeze()}, {"b.u": "a.x", "a.u": "b.w"})
+    run = system.simulate(macro_step=1.5, stop_time=3.0, output_interval=1.5, method=method)
+    np.testing.assert_allclose(run["a.n"], [0, 1500, 3000], atol=1)
+
+
 @pytest.mark.parametrize(("start", "accuracy"), [(1e5, 2e-6), (5e5, 1e-5), (-5e5, 1e-5)])
 def test_an_event_that_a_part_tells_to_rounding_of_a_late_time_is_one_instant(start, accuracy):
     """Endless macro steps of 8 roundings of the time before."""
