@@ -164,7 +164,7 @@ static inline int find_gain(Coupling *self, const double *u) {
             const int known = part->directional && !part_column(&self->fmu, part, i, self->column);
             if (part->directional && !known && !is_discarded(&self->fmu)) return give_up(self, p);
             if (!known || !all_finite(part->outputs, self->column)) {
-                const double step = 1e-6 * system->scale[input];
+                const double step = 1e-6 * fmax(system->scale[input], fabs(u[input]));
                 memcpy(self->part_u, u + input - i, (size_t)part->inputs * sizeof *u);
                 self->part_u[i] += step;
                 if (part_set(&self->fmu, part, self->part_u) ||

@@ -318,3 +318,18 @@ def test_interrupted_run_says_so(threads):
         system.simulate(stop_time=5000, output_interval=1, macro_step=1e-4, threads=threads)
     alarm.join()
     assert re.fullmatch(r"stopped after \S+ s: interrupted", caught.value.partial.status)
+
+
+@pytest.mark.parametrize("level", [1.0, 1e12])
+def test_a_loop_of_large_values_is_solved_without_derivatives_of_the_parts(level):
+    """y = level - 2.5 y; differences of 1e-6 were lost in 1e12: 'no solution at 0 s'."""
+    first = Model("first", stop_time=1.0)
+    first.output("y", "1", level - 2.5 * first.input("u", "1", 0.0, "input"), "output")
+    first.derivative(first.state("x", "1", 0.0, "unused"), 0)
+    second = Model("second", stop_time=1.0)
+    second.output("y", "1", second.input("u", "1", 0.0, "input") + 0, "output")
+    second.derivative(second.state("x", "1", 0.0, "unused"), 0)
+    parts, wires = {"a": first.freeze(), "b": second.freeze()}, {"a.u": "b.y", "b.u": "a.y"}
+    abilities = dict.fromkeys(parts, "no directional derivatives")
+    run = cosim.couple(parts, wires, abilities=abilities).simulate(macro_step=0.1)
+    np.testing.assert_allclose(run["a.y"], level / 3.5, rtol=1e-12)
