@@ -220,7 +220,7 @@ class CoSimulation:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
                 reject_noise(run, fixed, accuracy, before, most, unseen)
-                ordered = smooth and not run.events
+                ordered = smooth and not any(p.instance.logged_events for p in self.parts.values())
                 estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
                 estimate += unseen
                 of = run.columns[int(change.argmax())].name
