@@ -205,6 +205,14 @@ def test_accuracy_that_the_only_step_of_a_part_does_not_allow_is_an_error(tmp_pa
     assert "error_estimate" not in run.stats
 
 
+def test_a_fixed_step_that_is_too_long_hides_no_other_note(tmp_path):
+    fixed = {"canHandleVariableCommunicationStepSize": "false", "canInterpolateInputs": "false"}
+    motor = foreign_part(tmp_path, "lag", step_size=0.02, **fixed)
+    run = two_lags(motor, foreign_part(tmp_path, "lag")).simulate(output_interval=0.02)
+    assert "motor holds its inputs within its only step, 0.02 s" in run.stats["note"]
+    assert "the steps of motor have a fixed length" in run.stats["note"]
+
+
 def test_abilities_that_are_switched_off_are_not_used(tmp_path):
     motor, load = foreign_part(tmp_path, "lag"), foreign_part(tmp_path, "lag")
     full = two_lags(motor, load).simulate(macro_step=0.01)

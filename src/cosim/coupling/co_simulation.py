@@ -272,7 +272,8 @@ class CoSimulation:
             f"of {every} macro steps"
         )
         if accuracy is None:
-            return replace(run, stats={**run.stats, "note": reason})
+            note = one_note(run.stats.get("note"), reason)
+            return replace(run, stats={**run.stats, "note": note})
         raise SolverError(
             f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}; allow "
             "a larger error, or give macro_step",
