@@ -140,17 +140,14 @@ static int leave_events(void *stepper) {
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
     const Functions *call = self->fmu.call;
-    const size_t n = (size_t)self->model->run.states;
-    const int wrong =
+    const size_t n = (size_t)self->model->run.states, nz = (size_t)self->model->run.indicators;
+    const int wrong = /* indicators are with the inputs of now */
         failed(&self->fmu, "enter_continuous_time_mode",
                call->enter_continuous_time_mode(call->instance)) ||
-        (n && failed(&self->fmu, "get_states", call->get_states(call->instance, solver->x, n)));
-    if (wrong) return status_of(self, CALL_FAILED);
-    const size_t indicators = (size_t)self->model->run.indicators; /* with the inputs of now */
-    const int lost =
-        indicators && failed(&self->fmu, "get_indicators",
-                             call->get_indicators(call->instance, solver->signs, indicators));
-    return status_of(self, lost ? CALL_FAILED : DONE);
+        (n && failed(&self->fmu, "get_states", call->get_states(call->instance, solver->x, n))) ||
+        (nz && failed(&self->fmu, "get_indicators",
+                      call->get_indicators(call->instance, solver->signs, nz)));
+    return status_of(self, wrong ? CALL_FAILED : DONE);
 }
 
 /* Values on the line through the present state. */

@@ -84,7 +84,7 @@ typedef struct {
     int reason;         /* why a macro step was rejected, as the end of a run */
     int switched;       /* whether a held input has changed within the macro step */
     int looks;          /* whether the macro step only looks whether an event is where it begins */
-    int looked;         /* whether one has, since the past was forgotten */
+    long long looked;   /* whether one has, since the past was forgotten */
     int powers;         /* whether one has found that, and no step has been made since */
     int refused; /* whether a part did not take the inputs that it asked for within its step */
     Interface now, next, past[PAST]; /* the newest of the past first */
@@ -92,13 +92,13 @@ typedef struct {
     long long given_steps;           /* of a given length, completed */
     double h;                        /* about the length of the next one that is chosen */
     Attempts window;
-    int slow;        /* whether the last window hardly came on */
-    int rateless;    /* whether rates that follow from values are not known at the present point */
-    int guessed;     /* whether a rate of the last settled interface follows from values */
-    double middle;   /* time within the step where outputs are compared with cubics; or INFINITY */
-    double most;     /* the largest input so far, in scales */
-    int agreed_at;   /* the pass in which the last step's interface agreed */
-    double mismatch; /* of outputs and inputs, at output times within the step */
+    long long slow;     /* whether the last window hardly came on */
+    long long rateless; /* whether rates that follow from values are not known here */
+    int guessed;        /* whether a rate of the last settled interface follows from values */
+    double middle; /* time within the step where outputs are compared with cubics; or INFINITY */
+    double most;   /* the largest input so far, in scales */
+    long long agreed_at; /* the pass in which the last step's interface agreed */
+    double mismatch;     /* of outputs and inputs, at output times within the step */
     double *y, *gain, *matrix, *column, *part_u, *given, *change, *w, *found, *best, *jumps;
     FixedPoint iteration;
     Crew crew; /* of `Stepper`s; none if its count is 0 */

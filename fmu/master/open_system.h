@@ -202,23 +202,17 @@ static inline void copy_count(double **place, long long *own, int in) {
     *own = (long long)value;
 }
 
-static inline void copy_int(double **place, int *own, int in) {
-    long long count = *own;
-    copy_count(place, &count, in);
-    *own = (int)count;
-}
-
 enum { OWN_NUMBERS = 13 };
 
 static inline void copy_own_numbers(Coupling *self, double **place, int in) {
     System *system = self->system;
     double stop = system->stop;
     copy_count(place, &self->known, in);
-    copy_int(place, &self->rateless, in);
-    copy_int(place, &self->looked, in);
-    copy_int(place, &self->agreed_at, in);
+    copy_count(place, &self->rateless, in);
+    copy_count(place, &self->looked, in);
+    copy_count(place, &self->agreed_at, in);
     copy_count(place, &self->given_steps, in);
-    copy_int(place, &self->slow, in);
+    copy_count(place, &self->slow, in);
     copy_count(place, &self->window.made, in);
     copy_count(place, &self->window.rejected, in);
     copy_numbers(place, &self->window.begin, 1, in);
