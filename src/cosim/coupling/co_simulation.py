@@ -22,6 +22,7 @@ from cosim.coupling.estimate import (
     noise_by_restarts,
     reject_noise,
     rounding_of,
+    unreached,
 )
 from cosim.coupling.failures import (
     EndlessEvents,
@@ -240,11 +241,7 @@ class CoSimulation:
             least = next(one for one in ahead if one < tolerance or one == _TIGHTEST)
             ratio = max(tighter, least / tolerance)
             tolerance = max(tolerance * tighter, least)
-        raise SolverError(
-            f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: the last two "
-            f"runs differ by {estimate:.2g} ({of}); allow a larger error, or give macro_step",
-            partial=run,
-        )
+        raise unreached(run, accuracy, f"the last two runs differ by {estimate:.2g} ({of})")
 
     def _may_round(self) -> Truths:
         """Return whether each input is driven by a continuous output of a foreign part."""
@@ -274,11 +271,7 @@ class CoSimulation:
         if accuracy is None:
             note = one_note(run.stats.get("note"), reason)
             return replace(run, stats={**run.stats, "note": note})
-        raise SolverError(
-            f"{self.name}: the coupling does not reach the accuracy {accuracy:g}: {reason}; allow "
-            "a larger error, or give macro_step",
-            partial=run,
-        )
+        raise unreached(run, accuracy, reason)
 
     def _once(
         self, task: _Task, tolerance: float, of_parts: float, share: float = 1.0

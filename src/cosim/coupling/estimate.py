@@ -55,6 +55,15 @@ def changes(run: Trajectory, last: Trajectory, left_out: Truths) -> Vector:
     return largest
 
 
+def unreached(run: Trajectory, accuracy: float, why: str) -> SolverError:
+    """Return the error of a run that does not reach an accuracy."""
+    return SolverError(
+        f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: {why}; allow a "
+        "larger error, or give macro_step",
+        partial=run,
+    )
+
+
 def reject_noise(
     run: Trajectory,
     parts: Sequence[str],
@@ -76,20 +85,14 @@ def reject_noise(
         SolverError: The differences grow, or the noise is too large.
     """
     if noise > accuracy:
-        raise SolverError(
-            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: the noise of "
-            f"{', '.join(parts)}, which cannot restore a state, adds up to {noise:.1g} in "
-            f"{run.stats['macro_steps']} macro steps; allow a larger error, or give macro_step",
-            partial=run,
+        why = (
+            f"the noise of {', '.join(parts)}, which cannot restore a state, adds up to {noise:.1g}"
         )
+        raise unreached(run, accuracy, f"{why} in {run.stats['macro_steps']} macro steps")
     if parts and accuracy < change > 2 * before > 0:
-        raise SolverError(
-            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: runs differ by "
-            f"{before:.2g}, and with a smaller tolerance by {change:.2g}: {', '.join(parts)}, "
-            "which cannot restore a state, may round results; allow a larger error, or give "
-            "macro_step",
-            partial=run,
-        )
+        why = f"runs differ by {before:.2g}, and with a smaller tolerance by {change:.2g}"
+        which = f"{', '.join(parts)}, which cannot restore a state, may round results"
+        raise unreached(run, accuracy, f"{why}: {which}")
 
 
 def noise_by_restarts(in_steps: Callable[[float, int], Ranges], span: float, may: Truths) -> float:
@@ -180,10 +183,7 @@ def rounding_of(run: Trajectory, sizes: Vector, accuracy: float) -> float:
     every = np.finfo(float).eps * np.where(moves, np.abs(run.values).max(axis=0), 0) / sizes
     rounding = float(every.max(initial=0.0))
     if rounding > accuracy:
-        raise SolverError(
-            f"{run.model}: the coupling does not reach the accuracy {accuracy:g}: double precision "
-            f"carries {run.columns[int(every.argmax())].name} to {rounding:.1g} nominal values "
-            "only; allow a larger error, or give macro_step",
-            partial=run,
-        )
+        name = run.columns[int(every.argmax())].name
+        why = f"double precision carries {name} to {rounding:.1g} nominal values only"
+        raise unreached(run, accuracy, why)
     return rounding
