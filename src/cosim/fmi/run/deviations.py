@@ -75,17 +75,17 @@ class Deviations:
 
     def judge(self, steps: int) -> None:
         """Look back over the whole motion at its end; see `pass_event`."""
-        path = self._piece(steps)
+        path = last = self._piece(steps)
         if self._places:
-            if path is not None:
-                self._remember(path)
+            if last is not None:
+                self._remember(last)
             path = self._linearized()
-        if path is None or isinstance(self.found, Trough):
-            return
-        found = suppressed_growth(path, self._steps, *self._tolerances)
-        if not self._follows or stays_suppressed(path, self._steps, *self._tolerances):
-            self.found = found
-        self._rates(path.time[-1], path.states[:, -1])
+        if path is not None and not isinstance(self.found, Trough):
+            found = suppressed_growth(path, self._steps, *self._tolerances)
+            if not self._follows or stays_suppressed(path, self._steps, *self._tolerances):
+                self.found = found
+        if last is not None:
+            self._rates(last.time[-1], last.states[:, -1])
 
     def _piece(self, steps: int) -> StatePath | None:
         """Return the motion since the last event, of which troughs are judged."""
