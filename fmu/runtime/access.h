@@ -216,7 +216,7 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     const bool looks = self->state.mode == CONTINUOUS_TIME_MODE && note_look(self);
 #endif
     const Status known = N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
-#if ENCLOSED > 0
+#if N_WATCHED > 0
     if (known == OK && looks) look_between(self, values + N_LIMITS);
 #endif
     return known;

@@ -62,7 +62,7 @@ static void warn_of_limits(Instance *self) {
 
 /* Warn of a relation that has left its mode where the importer does not stop. */
 static void warn_of_passing(Instance *self) {
-#if ENCLOSED > 0
+#if N_WATCHED > 0
     Looks *looks = &self->state.looks;
     const int relation = (int)looks->relation - 1;
     if (relation < 0 || looks->warned[relation] > 0) return;
@@ -107,14 +107,14 @@ static bool note_look(Instance *self) {
    relation did so where that left its mode. */
 static void forget_looks(Instance *self) {
     Looks *looks = &self->state.looks;
-#if ENCLOSED > 0
+#if N_WATCHED > 0
     const double t = self->state.values[TIME];
     if (t - looks->left > SAME_TIME * time_scale(&self->state.switching, t)) warn_of_passing(self);
 #endif
     looks->count = looks->relation = 0;
 }
 
-#if ENCLOSED > 0
+#if N_WATCHED > 0
 /* Whether bounds prove that no relation has left its mode between the last two looks. */
 static bool stays_between_looks(Instance *self) {
     const Glance *a = &self->state.looks.before, *b = &self->state.looks.last;
@@ -146,7 +146,8 @@ static void look_between(Instance *self, double insides[]) {
         all &= insides[k] >= 0;
         places[i] = k++;
     }
-    if (!all || looks->count < 2 || stays_between_looks(self)) return;
+    const bool proven = ENCLOSED == N_WATCHED && looks->count == 2 && stays_between_looks(self);
+    if (!all || looks->count < 2 || proven) return;
     Gap gap = {self, &looks->before, &looks->last};
     const Motion motion = {.solver = &gap, .at = within_gap};
     const double now = looks->last.time;

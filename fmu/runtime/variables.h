@@ -33,7 +33,7 @@
 #define FIXED_STEPS 0 /* stages of a solver whose steps have a fixed size */
 #define ORDER_OF_STEPS 0
 #endif
-#define HAS_LOOKS (ENCLOSED > 0 || BOUNDED_LIMITS > 0) /* of importers of model exchange */
+#define HAS_LOOKS (N_WATCHED > 0 || BOUNDED_LIMITS > 0) /* of importers of model exchange */
 #if HAS_EVENTS
 #include "laws.h"
 #endif

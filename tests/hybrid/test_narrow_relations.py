@@ -19,6 +19,7 @@ CONDITIONS: dict[str, Condition] = {
     "between": lambda x, _, w, __: (x - PLACE) ** 2 < w**2,
     "bump": lambda x, _, w, m: m.exp(-(((x - PLACE) / w) ** 2)) > 0.5,
     "often": lambda x, _, w, m: m.sin(40 * x) > 1 - w,
+    "peak": lambda x, _, w, __: x > 1 - w,
     "in two states": lambda x, v, w, _: (x - 0.6) ** 2 + (v - 0.8) ** 2 < w**2,
 }
 
@@ -147,7 +148,9 @@ def test_fixed_steps_do_not_pass_over_what_their_cubics_miss(
     assert [event.time for event in run.events] == pytest.approx([begin], abs=error)
 
 
-@pytest.mark.slow_rows("bump-2", "bump-3", "in two states-3", "often-3", "between-3", "often-2")
+@pytest.mark.slow_rows(
+    "bump-2", "bump-3", "in two states-3", "often-3", "between-3", "often-2", "peak-3"
+)
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("kind", CONDITIONS)
 def test_model_exchange_does_not_step_over_a_narrow_relation(

@@ -149,9 +149,7 @@ PARTS = (
     ),
     Part(
         "a motion between two points of an importer",
-        lambda plan: bool(
-            plan.bounds.relations or (plan.system and plan.system.enclosures.relations)
-        ),
+        lambda plan: bool(plan.bounds.relations or (plan.system and plan.system.relations)),
         ("looks.h", "cubic.h"),
     ),
     Part(
