@@ -5,6 +5,7 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.fmu_files import set_attributes, with_description
 
 import cosim
 from cosim.cli.main import main
@@ -303,6 +304,36 @@ def test_error_of_a_temperature_is_shown_as_a_difference():
     (row,) = fit(model.freeze(), measured, {"warmth": 290.0}).rows()
     assert float(row["value"]) == pytest.approx(kelvin.mean() - 273.15, abs=1e-4)
     assert row["error"] == pytest.approx(kelvin.std(ddof=1) / np.sqrt(len(TIMES)), rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e-12, 1e12])
+def test_errors_of_a_fit_do_not_depend_on_the_size_of_what_is_measured(scale):
+    noise = np.random.default_rng(3).normal(0, 0.01, len(TIMES))
+    measured = record({"x": scale * (np.exp(-2 * TIMES) + noise)})
+    found = fit(DECAY, measured, {"k": 1.0}, start_values={"x": scale})
+    usual = fit(DECAY, record({"x": measured["x"] / scale}), {"k": 1.0})
+    assert found.values == pytest.approx(usual.values, rel=1e-6)
+    assert found.errors == pytest.approx(usual.errors, rel=1e-4)  # before: 1 of 1e-12 m for 1e-2
+
+
+@pytest.mark.parametrize(("low", "start"), [(0.03, 0.41), (0.05, 0.67), (0.05, 0.19)])
+def test_a_value_ends_at_its_bound_whatever_its_scale_rounds_to(low, start):
+    assert low / start * start < low
+    model = cosim.Model("bounded", stop_time=2.0)
+    x, k = model.state("x", "m", 1.0, "x"), model.parameter("k", "1/s", 0.5, "rate", minimum=low)
+    model.derivative(x, -k * x)
+    measured = record({"x": np.exp(-(low - 1e-9) * TIMES[::2])}, TIMES[::2])
+    found = fit(model.freeze(), measured, {"k": start}, solver="dop853")
+    assert found.values["k"] == pytest.approx(low, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_fmu_with_a_start_time_of_its_own_is_fitted_from_0(tmp_path):
+    path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")
+    edit = set_attributes("DefaultExperiment", startTime="5", stopTime="7")
+    late = with_description(path, tmp_path / "late.fmu", edit)
+    found = fit(late, noisy(8, size=0), {"k": 1.0}, start_values={"x": 3.0})
+    assert found.values["k"] == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.slow
