@@ -437,6 +437,35 @@ def build():
 """
 
 
+def test_command_takes_the_solver_of_a_scene_and_ends_series_of_what_it_sets(
+    tmp_path, capsys, monkeypatch
+):
+    used = []
+
+    def noted(*given, **settings):
+        used.append(settings["solver"])
+        return fit(*given, **settings)
+
+    monkeypatch.setattr("cosim.cli.verbs.fit.fit", noted)
+    (tmp_path / "drop.py").write_text(
+        OWN.replace("a)\n", 'a * (0.5 - x) + model.input("u", "m/s", 0.0, "u"))\n')
+    )
+    (tmp_path / "u.csv").write_text("time,u\n0,0\n2,1\n")
+    scene = tmp_path / "driven.toml"
+    scene.write_text(
+        'model = "drop.py:build"\n[inputs]\nfile = "u.csv"\n[run]\nsolver = "cvodes_adams"\n'
+    )
+    dae = cosim.load(f"{tmp_path / 'drop.py'}:build")
+    run = cosim.simulate(dae, start_values={"a": 2.0, "u": 0.3}, output_times=TIMES)
+    run.to_csv(tmp_path / "data.csv")
+    for given in ("u=0.3", "u=0:1"):
+        words = ["fit", str(scene), str(tmp_path / "data.csv"), "-p", "a=0.1:10", "-p", given]
+        assert main([*words, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["values"]["a"] == pytest.approx(2.0, rel=1e-6)
+    assert used == ["cvodes_adams"] * 2
+
+
 def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
     (tmp_path / "own.py").write_text(OWN)
     (tmp_path / "d.csv").write_text("time,x\n0,2\n1,5\n2,8\n3,11\n")
