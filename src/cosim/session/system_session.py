@@ -223,6 +223,17 @@ class SystemSession(Life):
         if by_part:
             self._change(by_part)
 
+    def present(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values that `set` would replace, exactly, to be set again."""
+        self._require()
+        found = dict[str, Any]()
+        for name, one in values_of(self._system.parts, values, self._connectors):
+            part = self._instances.parts[name]
+            access = access_to([self._variable(name, one)], part.instance, part.description)
+            with explained(self.name, part):
+                (found[f"{name}.{one}"],) = access.get()
+        return found
+
     def _variable(self, part: str, name: str) -> Any:
         return by_name(self._instances.parts[part].description)[name]
 
