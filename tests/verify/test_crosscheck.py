@@ -80,6 +80,21 @@ def test_difference_beyond_the_bound_is_a_verdict_of_its_own(monkeypatch):
     assert all(check.against == "dop853 at 3e-14" for check in checks)
 
 
+@pytest.mark.parametrize(
+    ("own", "remedy"), [(1e-12, "--relative-tolerance 1e-13 or "), (1e-13, "")]
+)
+def test_no_tolerance_below_rounding_is_tried_or_advised(own, remedy, monkeypatch, tmp_path):
+    shifted(monkeypatch, 1e-3)
+    words = f'model = cosim.Model("tight", stop_time=0.5, reference_tolerance={own})\n'
+    file = tmp_path / "tight.py"
+    file.write_text(
+        f"import cosim\ndef build():\n    {words}    x = model.state('x', '1', 1.0, 'x')\n"
+        "    model.derivative(x, -x)\n    return model.freeze()\n"
+    )
+    for check in crosscheck(f"{file}:build"):
+        assert check.note.startswith(f"try {remedy}a shorter run")
+
+
 def test_smallest_difference_that_the_reference_resolves_is_reported():
     checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
     assert "DIFFERS" in {check.verdict for check in checks}

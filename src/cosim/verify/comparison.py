@@ -220,7 +220,7 @@ def compare(
     if gaps.all(axis=0).any():
         name = names[int(np.argmax(gaps.all(axis=0)))]
         raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
-    sizes, small = (_nominals(first),) * 2 if by_nominal else _sizes(first, second)
+    sizes, small = (_nominals(first),) * 2 if by_nominal else sizes_of(first, second)
     scaled = np.abs(values) / sizes
     scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
@@ -258,7 +258,7 @@ def _nominals(run: Trajectory) -> Vector:
     return np.array([column.nominal for column in run.columns])
 
 
-def _sizes(first: Trajectory, second: Trajectory) -> tuple[Vector, Vector]:
+def sizes_of(first: Trajectory, second: Trajectory) -> tuple[Vector, Vector]:
     """Return what differences are divided by, and the largest values of small states.
 
     The first are nominal values, or how large small states become, unless that may be errors; the
