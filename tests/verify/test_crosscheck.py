@@ -293,6 +293,28 @@ def test_runs_that_a_condition_stops_next_to_an_output_time_are_compared(tmp_pat
     assert [str(check.verdict) for check in checks] == ["ok", "ok"]
 
 
+@pytest.mark.parametrize("later", [1.005, 1.3])  # within an output interval, and beyond
+def test_a_run_that_stops_at_another_time_is_a_failed_check(later, tmp_path, monkeypatch):
+    file = tmp_path / "stop.py"
+    file.write_text(
+        "import cosim\n\n\ndef build():\n"
+        "    model = cosim.Model('st', stop_time=2.0)\n"
+        "    x, k = model.state('x', '1', 0.0, 'x'), model.parameter('k', '1', 1.0, 'end')\n"
+        "    model.derivative(x, 1.0)\n"
+        "    model.stop(x > k, 'done')\n"
+        "    return model.freeze()\n"
+    )
+    export = crosschecks.export_fmu
+
+    def export_another(dae, path):
+        return export(cosim.requested(dae, start_values={"k": later}).configured(), path)
+
+    monkeypatch.setattr(crosschecks, "export_fmu", export_another)
+    for check in crosscheck(f"{file}:build"):
+        assert check.verdict == "FAILED"
+        assert "different output times" in check.reason
+
+
 def test_runs_that_stop_at_different_times_do_not_agree():
     runs = []
     for end in (0.52, 0.77):

@@ -209,10 +209,10 @@ def _couplings(
                     accuracy=_OF_BOUND * bound,
                     method=method,
                 )
-        except _FAILURES as error:
+            difference = compare(run, other, bound=bound, resample=False)
+        except (*_FAILURES, UsageError) as error:
             yield Check(system.name, backend, run.stats["solver"], None, failure=str(error))
             continue
-        difference = compare(run, other, bound=bound, resample=False)
         yield Check(system.name, backend, run.stats["solver"], difference, dict(other.stats))
 
 
@@ -246,9 +246,9 @@ def _backend(
 
     try:
         other = again(request)
-    except _FAILURES as error:
+        difference = compare(run, other, bound=bound, resample=False)
+    except (*_FAILURES, UsageError) as error:  # also of runs that stop at different times
         return Check(name, backend, solver, None, failure=str(error))
-    difference = compare(run, other, bound=bound, resample=False)
     first = Check(name, backend, solver, difference, dict(other.stats))
     if difference.agrees:
         return first
@@ -282,7 +282,7 @@ def _against_reference(
             if again and now < tolerance:
                 other = again(replace(request, solver=Tolerance(now)))
             difference = compare(truth, other, bound=bound, resample=False)
-        except _FAILURES:
+        except (*_FAILURES, UsageError):
             break
         nominal = {column.name: column.nominal for column in truth.columns}
         doubt = max(best.errors[d.name] * nominal[d.name] / d.size for d in difference)
