@@ -45,7 +45,7 @@ static inline double first_step(const Ode *ode, double t, double span, const dou
     if (slope(ode, t + h, y, k[1]) || !is_finite(k[1])) return h;
     for (int i = 0; i < NX; ++i) change[i] = k[1][i] - k[0][i];
     const double steepest = fmax(rate, norm(ode, change, x) / h);
-    const double next = steepest > 1e-15 ? pow(0.01 / steepest, 1.0 / 8) : fmax(1e-6, 1e-3 * h);
+    const double next = steepest > 1e-15 ? pow(0.01 / steepest, 1.0 / 8) : fmax(1e-6, h);
     return fmin(fmin(100 * h, next), span);
 }
 

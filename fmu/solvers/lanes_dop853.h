@@ -74,8 +74,8 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
     slopes(self, self->t + h, self->end, self->k[1]);
     for (int i = 0; i < NX; ++i) self->sum[i] = self->k[1][i] - self->k[0][i];
     const V steepest = larger(rate, norm(self, batch, self->sum, self->x) / h);
-    const V next = pick(steepest > every(1e-15), eighth_root(every(0.01) / steepest),
-                        larger(every(1e-6), every(1e-3) * h));
+    const V next =
+        pick(steepest > every(1e-15), eighth_root(every(0.01) / steepest), larger(every(1e-6), h));
     const V best = smaller(smaller(every(100) * h, next), every(span));
     return pick(is_finite(self->k[1]), best, h);
 }
