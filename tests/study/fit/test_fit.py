@@ -483,6 +483,20 @@ def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
         found.write_scene(tmp_path / "third.toml")
 
 
+def test_scene_of_a_fitted_system_is_read_from_any_folder(tmp_path):
+    folder = tmp_path / "\U0001f600"
+    folder.mkdir()
+    code = OWN.replace(
+        "return model.freeze()", "return cosim.couple({'m': model.freeze()}, {}).dae"
+    )
+    (folder / "own.py").write_text(code)
+    measured = record({"m.x": 1 + 3 * TIMES})
+    found = fit(f"{folder / 'own.py'}:build", measured, ["m.a"])
+    found.write_scene(tmp_path / "fitted.toml")
+    scene = cosim.read_scene(tmp_path / "fitted.toml")
+    assert scene.request.values == pytest.approx({"m.a": 3.0})
+
+
 def test_command_rejects_a_scene_that_does_not_begin_at_0(tmp_path, capsys):
     scene, data = tmp_path / "late.toml", tmp_path / "d.csv"
     scene.write_text('model = "crank_shaft"\n[run]\nstart_time = 2.0\nstop_time = 3.0\n')
