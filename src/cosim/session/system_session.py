@@ -130,9 +130,8 @@ class SystemSession(Life):
         Raises:
             FmuError: A part cannot write its state as bytes, or allows one instance only.
         """
-        self._require()
-        parts = self._instances.parts
-        abilities = (part.abilities for part in parts.values())
+        self._require()  # before its states are read
+        abilities = (part.abilities for part in self._instances.parts.values())
         self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
