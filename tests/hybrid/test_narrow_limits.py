@@ -184,3 +184,16 @@ def test_ctrl_c_keeps_the_rows_and_begins_no_further_integration(
     assert partial is not None
     assert partial.time.tolist() == [0, SPAN / 2, SPAN]
     assert partial.status.endswith("interrupted")
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_uneven_output_times_hide_no_violation_where_they_are_far_apart(solver: str) -> None:
+    model = Model("swinging", stop_time=100.0, output_interval=20.0)
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1", 1.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.limit(0.9 - x, "it is near")
+    times = [*np.linspace(0, 0.1, 2000), 2 * np.pi]
+    run = cosim.simulate(model.freeze(), output_times=times, solver=solver)
+    (reason,) = run.stats["invalid"]
+    assert reason.time == pytest.approx(np.arcsin(0.9), abs=1e-6)

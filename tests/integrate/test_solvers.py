@@ -308,3 +308,15 @@ def test_nothing_is_compiled_anew_for_other_output_times(solver, monkeypatch):
     assert again["theta1"][2] == once["theta1"][2]  # no step ends at an output
     interpreted = cosim.simulate(dae, output_times=times, solver=solver, compiled=False)
     np.testing.assert_allclose(again.values, interpreted.values, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "erk", "rosenbrock", "cvodes", "idas"])
+def test_a_rest_at_late_times_is_integrated(solver):
+    model = cosim.Model("rest", stop_time=1.0)
+    x, k = model.state("x", "1", 1.0, "state"), model.parameter("k", "1/s", 0.0, "rate")
+    model.derivative(x, -k * x)
+    for start in (1e9, 1e10):
+        times = {"start_time": start, "stop_time": start + 1, "solver": solver}
+        assert cosim.simulate(model.freeze(), **times).final["x"] == 1
+        many = cosim.simulate_many(model.freeze(), {"k": [0.0, 1.0]}, **times)
+        np.testing.assert_allclose(many["x"][:, -1], [1, np.exp(-1)], rtol=1e-5)

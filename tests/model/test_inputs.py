@@ -7,7 +7,7 @@ from helpers.fmu_files import set_attributes, with_description
 import cosim
 from cosim.codegen import compiler
 from cosim.errors import ParameterError, UnknownName, UsageError
-from cosim.model.driving import driven, with_tables
+from cosim.model.driving import driven, followed, with_tables
 from cosim.model.inputs import InputSeries, read_inputs
 
 INERTIA = 0.2 * 14.593902937206364 * 0.3048**2 / 12  # slender bar about its middle, kg.m2
@@ -432,3 +432,17 @@ def test_held_series_keeps_a_sample_until_the_next_one_also_at_jumps():
     assert held.at(at).tolist() == [[9.0, 1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0]]
     assert held.before(np.array([2.0, 3.0])).tolist() == [[1.0, 2.0]]  # 5 lasts for no time
     assert held.jumps.tolist() == [0.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("start", [0.0, -3.0, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("steps", [7, 16, 32, 59])  # at times that are rounded, or not
+def test_formula_for_an_fmu_has_both_sides_of_each_of_its_jumps(steps, start):
+    """Just before k / 7, seven times the time is rounded to k."""
+    times, text = start + np.linspace(0, 1, 11), f"floor({steps}*(t - ({start})))"
+    series = followed("fmu", {"u": text}, times, {"u": "1"})
+    k = np.arange(steps + 1)
+    np.testing.assert_allclose(series.jumps, start + k / steps, atol=0, rtol=1e-15)
+    np.testing.assert_array_equal(series.at(series.jumps)[0], k)
+    np.testing.assert_array_equal(series.before(series.jumps)[0], k - 1)
+    for i, pair in enumerate(zip(series.jumps, series.jumps[1:], strict=False)):
+        assert series.around(pair[0]).at(np.array(pair))[0].tolist() == [i, i]

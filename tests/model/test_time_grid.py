@@ -113,3 +113,17 @@ def test_the_last_interval_is_shorter_or_hardly_longer(stop, interval, intervals
     assert len(grid) == intervals + 1
     assert grid[-1] == stop
     assert np.diff(grid)[-1] <= 1.01 * interval
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "interval"),
+    [
+        (1e6, 1000000.0000040873, 4.087284888812758e-09),
+        (-1e9, -999999999.99999, 1e-6),
+        (1e9, 1000000000.0000031, 3.0594922546836176e-06),
+    ],
+)
+def test_intervals_of_a_few_roundings_make_a_grid(start, stop, interval):
+    grid = time_grid(start, stop, interval)
+    assert (grid[0], grid[-1]) == (start, stop)
+    assert np.diff(grid).max() <= interval + 2 * np.spacing(abs(start))

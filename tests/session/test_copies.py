@@ -410,6 +410,25 @@ def test_each_copy_gets_its_integer_as_it_is():
     assert given == [{"n": 2**53 + 1}, {"n": 3}]
 
 
+def test_integers_are_as_before_after_a_set_that_failed():
+    given = []
+
+    def session(number):
+        def take(values):
+            if number:
+                raise FmuError("rejected")
+            given.append(values)
+
+        own = SimpleNamespace(name="n", inputs=(), outputs=(), states=(), invalid=None, set=take)
+        own.identity, own.present = bytes, lambda values: {"n": 2**53 + 1}
+        return own
+
+    copies = SingleCopies([session(0), session(1)])
+    with pytest.raises(FmuError, match="copy 1: rejected"):
+        copies.set({"n": 3})
+    assert given == [{"n": 3}, {"n": 2**53 + 1}]
+
+
 def test_no_step_leads_beyond_a_stop_time_far_from_0():
     far = 1e9  # s, of which a billionth is as long as the run
     with cosim.open(decay(), copies=N, start_time=far, stop_time=far + 1) as copies:

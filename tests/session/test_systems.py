@@ -353,6 +353,27 @@ def test_copies_of_a_system_are_advanced_together(files):
         np.testing.assert_array_equal(copies["motor.x"], [1, 1, 1])
 
 
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ([(0.0, 3.0)], [3.0, 3.0]),
+        ([(1.0, 0.0), (2.0, 0.0)], [0.5, 0.7]),
+        ([(0.1, 0.3)], [0.35, 0.37]),
+    ],
+)
+def test_copies_of_a_system_set_its_connectors(ends, expected, files):
+    system = cosim.couple({"a": files["lag"], "b": files["lag"]}, {}, stop_time=1.0)
+    pairs = (End((part, "u"), *end) for part, end in zip("ab", ends, strict=False))
+    entry = Connector("g", None, is_input=True, ends=tuple(pairs))
+    with cosim.open(replace(system, connectors={"g": entry}), copies=2) as copies:
+        copies.set(g=[0.5, 0.7])
+        before = copies.get(["a.u", "b.u"])
+        assert before[0].tolist() == expected
+        with pytest.raises(ParameterError, match=r"copy 1: .*not finite"):
+            copies.set(g=[0.2, np.nan])
+        np.testing.assert_array_equal(copies.get(["a.u", "b.u"]), before)  # to the bit
+
+
 def test_closing_frees_the_instances_and_runs_go_on_beside_a_session(files):
     system = lags(files)
     session = cosim.open(system, macro_step=STEP)

@@ -80,6 +80,21 @@ def test_difference_beyond_the_bound_is_a_verdict_of_its_own(monkeypatch):
     assert all(check.against == "dop853 at 3e-14" for check in checks)
 
 
+@pytest.mark.parametrize(
+    ("own", "remedy"), [(1e-12, "--relative-tolerance 1e-13 or "), (1e-13, "")]
+)
+def test_no_tolerance_below_rounding_is_tried_or_advised(own, remedy, monkeypatch, tmp_path):
+    shifted(monkeypatch, 1e-3)
+    words = f'model = cosim.Model("tight", stop_time=0.5, reference_tolerance={own})\n'
+    file = tmp_path / "tight.py"
+    file.write_text(
+        f"import cosim\ndef build():\n    {words}    x = model.state('x', '1', 1.0, 'x')\n"
+        "    model.derivative(x, -x)\n    return model.freeze()\n"
+    )
+    for check in crosscheck(f"{file}:build"):
+        assert check.note.startswith(f"try {remedy}a shorter run")
+
+
 def test_smallest_difference_that_the_reference_resolves_is_reported():
     checks = list(crosscheck(["crank_shaft/driven"], bound=1e-16, **SHORT))
     assert "DIFFERS" in {check.verdict for check in checks}
@@ -276,6 +291,28 @@ def test_runs_that_a_condition_stops_next_to_an_output_time_are_compared(tmp_pat
     )
     checks = list(cosim.crosscheck(f"{file}:build"))
     assert [str(check.verdict) for check in checks] == ["ok", "ok"]
+
+
+@pytest.mark.parametrize("later", [1.005, 1.3])  # within an output interval, and beyond
+def test_a_run_that_stops_at_another_time_is_a_failed_check(later, tmp_path, monkeypatch):
+    file = tmp_path / "stop.py"
+    file.write_text(
+        "import cosim\n\n\ndef build():\n"
+        "    model = cosim.Model('st', stop_time=2.0)\n"
+        "    x, k = model.state('x', '1', 0.0, 'x'), model.parameter('k', '1', 1.0, 'end')\n"
+        "    model.derivative(x, 1.0)\n"
+        "    model.stop(x > k, 'done')\n"
+        "    return model.freeze()\n"
+    )
+    export = crosschecks.export_fmu
+
+    def export_another(dae, path):
+        return export(cosim.requested(dae, start_values={"k": later}).configured(), path)
+
+    monkeypatch.setattr(crosschecks, "export_fmu", export_another)
+    for check in crosscheck(f"{file}:build"):
+        assert check.verdict == "FAILED"
+        assert "different output times" in check.reason
 
 
 def test_runs_that_stop_at_different_times_do_not_agree():

@@ -225,3 +225,13 @@ def test_a_small_state_is_compared_with_its_own_size_in_the_file_too(tmp_path):
         worst = check.comparison.worst
         assert worst.size == pytest.approx(1e-3)
         assert worst.scaled == pytest.approx(written[check.backend]["difference"])
+
+
+@pytest.mark.slow
+def test_reference_of_a_small_motion_is_no_noise(tmp_path):
+    model = Model("small", stop_time=2.0, output_interval=0.1)
+    x, v = model.state("x", "m", 5e-11, "place"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    path = export_with_reference(model.freeze(), tmp_path / "small.fmu")
+    assert [check.verdict for check in check_file(path)] == ["ok", "ok"]

@@ -54,7 +54,7 @@ def scene_from(args: argparse.Namespace) -> Scene:
         keywords["outputs"] = names_in(args.outputs)
         scene = replace(scene, figures=())
     request = requested(request, **keywords, solver=solver if has_goal else None)
-    return replace(scene, request=_with_values(args, request))
+    return replace(scene, request=with_values(args, request))
 
 
 def options_in(args: argparse.Namespace, *names: str) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def runs_natively(args: argparse.Namespace) -> bool:
     return choice(Backend, "backend", Backend.NATIVE if backend is None else backend).native
 
 
-def _with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
+def with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     """Return a request with the values of a command line, which end time series of the same."""
     numbers = start_numbers(args, request.dae) if "values" in args else {}
     if not numbers:

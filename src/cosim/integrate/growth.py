@@ -78,7 +78,7 @@ def _with_digits(
         return motion, False
     sizes = _sizes(motion, requested)
     steps = min(motion.counts.steps or 0, _MOST_STEPS)
-    few = len(motion.time) < 2 * steps and not motion.reason
+    few = not (motion.is_as_dense_as(2 * steps) or motion.reason)
     seen = look(None, steps) if few else motion
     shares = np.ones(len(sizes))
     first: Trough | None = None

@@ -122,7 +122,7 @@ def _holds(watched: _Watched, motion: Motion) -> bool:
     """Return whether spans of what moves between close rows prove that the conditions hold."""
     t = motion.time
     steps = motion.counts.steps
-    if motion.instants or not steps or len(t) < max(3, steps):
+    if motion.instants or not steps or not motion.is_as_dense_as(max(3, steps)):
         return False
     u = np.broadcast_to(motion.u, (len(motion.u), len(t)))
     nx = len(motion.states)

@@ -14,6 +14,8 @@ from cosim.integrate.engine import Counts
 from cosim.integrate.modes import Instant
 from cosim.text import Ending
 
+_ROUNDING = 1e-9  # of gaps that are equal
+
 
 class EventRecord(NamedTuple):
     """An event of a run.
@@ -63,6 +65,11 @@ class Motion:
     stop: str = ""
     instants: list[tuple[Instant, Instant]] = field(default_factory=list)
     note: str = ""
+
+    def is_as_dense_as(self, rows: int) -> bool:
+        """Tell whether its rows are nowhere farther apart than so many that are evenly spread."""
+        gap, span = np.diff(self.time).max(initial=0.0), np.ptp(self.time)
+        return bool(len(self.time) >= rows and (rows - 1) * gap <= (1 + _ROUNDING) * span)
 
     def with_sides(self) -> "Motion":
         """Return the motion with a row before and one after each instant with an event."""

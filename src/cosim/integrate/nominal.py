@@ -219,14 +219,12 @@ def scaled_call(
     if solver.absolute_tolerance is None:
         x0 = start.x if start.began is None else start.began
         nominal = nominal.from_start(problem.dae, x0, start.z, solver.tolerance.pair[1])
-    if problem.shares and solver.takes_nominal_values:
-        pairs = zip(nominal.x, problem.shares, strict=True)
+    shares, problem = problem.shares, replace(problem, shares=())
+    if shares and solver.takes_nominal_values:
+        pairs = zip(nominal.x, shares, strict=True)
         nominal = replace(nominal, x=tuple(power(size * share) for size, share in pairs))
-    elif problem.shares:  # equations of very different scales would lose digits in linear solutions
-        least = solver.tolerance.pair[1] * min(problem.shares)
-        solver = replace(solver, absolute_tolerance=least)
-    if problem.shares:
-        problem = replace(problem, shares=())
+    elif shares:  # equations of very different scales would lose digits in linear solutions
+        solver = replace(solver, absolute_tolerance=solver.tolerance.pair[1] * min(shares))
     engine, sizes, more = _scaled_engine(problem, solver, nominal)
     x, z = sizes.columns
     p = np.concatenate((p, more, span))

@@ -137,7 +137,7 @@ def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
     if not _has_terms(dae):
         return motion
     steps = _counted(motion)
-    if len(motion.time) < 2 * steps or _found(dae, motion, steps):
+    if not motion.is_as_dense_as(2 * steps) or _found(dae, motion, steps):
         return None
     return _with_note_on_unbounded(dae, motion)
 
@@ -276,7 +276,7 @@ def _inside(grid: Vector, times: list[Vector]) -> Vector:
 def rows_between(motion: Motion, grid: Vector) -> Vector:
     """Return times within a grid, s, if the rows of a motion show too little of it; else none."""
     steps = _counted(motion)
-    return np.empty(0) if len(motion.time) >= 2 * steps else between(grid, steps)
+    return np.empty(0) if motion.is_as_dense_as(2 * steps) else between(grid, steps)
 
 
 def between(grid: Vector, steps: int) -> Vector:

@@ -4,8 +4,7 @@ import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
-from math import inf, nextafter
+from math import inf
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -229,15 +228,22 @@ class FollowedInputs(InputSeries):
 
     @cached_property
     def _parts(self) -> tuple[InputSeries, ...]:
-        ends = pairwise([-inf, *self.breaks.tolist(), inf])
+        near = self._rounding(self.breaks)
+        begins, ends = [-inf, *(self.breaks + near)], [*(self.breaks - near), inf]
         return tuple(
-            replace(cast(FollowedInputs, part), span=(nextafter(begin, inf), nextafter(end, -inf)))
-            for part, (begin, end) in zip(super()._parts, ends, strict=True)
+            replace(cast(FollowedInputs, part), span=(float(begin), float(end)))
+            for part, begin, end in zip(super()._parts, begins, ends, strict=True)
         )
+
+    def _rounding(self, times: Vector) -> Vector:
+        """Return by how much laws may jump beside some times by rounding, s."""
+        largest = np.maximum(np.abs(times), abs(self.time[0]))  # on the way
+        return np.asarray(8 * np.spacing(largest))
 
     def _rows(self, times: Vector, side: Literal["left", "right"]) -> Vector:
         rows = super()._rows(times, side)
-        beside = np.nextafter(times, inf if side == "right" else -inf)
+        near = self._rounding(times)
+        beside = times + (near if side == "right" else -near)
         at = np.clip(np.where(np.isin(times, self.jumps), beside, times), *self.span)
         for name, law in self.laws.items():
             rows[self.names.index(name)] = law(at)

@@ -10,6 +10,7 @@ from cosim.errors import ParameterError, UsageError
 from cosim.model.values import number
 
 LIMITS = ("relative_tolerance", "absolute_tolerance", "max_step")  # of an adaptive solver
+LEAST_RELATIVE = 100 * float(np.finfo(float).eps)  # tolerance that double precision resolves
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Tolerance:
 
     def __post_init__(self) -> None:
         relative = number("solver", "relative_tolerance", self.relative)
-        if relative != 0 and not 100 * np.finfo(float).eps <= relative <= 0.1:
+        if relative != 0 and not LEAST_RELATIVE <= relative <= 0.1:
             raise ParameterError(
                 f"relative_tolerance = {relative:g} is not within 2.2e-14 ... 0.1; "
                 "double precision cannot resolve less, and more gives no accuracy"

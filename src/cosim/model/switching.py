@@ -83,7 +83,9 @@ class Argument:
     def switches(self) -> Vector:
         """Return when it leaves its modes within the spans, s."""
         begins, lengths, spans = self.parts()
-        times, spans = np.column_stack((begins, begins + lengths)).ravel(), np.repeat(spans, 2)
+        # with middles, since both ends may be on boundaries
+        times = np.column_stack((begins, begins + lengths / 2, begins + lengths)).ravel()
+        spans = np.repeat(spans, 3)
         modes = self._modes_at(times, spans)
         inner = ~np.isnan(modes)
         times, spans, modes = times[inner], spans[inner], modes[inner]

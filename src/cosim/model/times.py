@@ -45,9 +45,8 @@ def time_grid(start: float, stop: float, interval: float, *, numbers: int = 1) -
     rounding = max(1e-6 * max(1.0, count), 2 * np.spacing(max(abs(start), abs(stop))) / interval)
     if not whole or abs(count - whole) > min(rounding, _LONGER):
         whole = int(count) + 1
-    grid = start + interval * np.arange(whole + 1)
-    grid[-1] = stop
-    return checked_grid(grid)
+    grid = start + interval * np.arange(whole)
+    return checked_grid(np.append(grid[grid < stop], stop))  # the last one may round to the stop
 
 
 def one_time(a: ArrayLike, b: ArrayLike, start: float) -> Any:

@@ -67,10 +67,7 @@ class LaneCopies:
 
     def begin(self, values: Mapping[str, Any], time: float, rows: Integers) -> None:
         """Begin copies again; see `Engine.begin`."""
-        found = self._assigned(values, len(rows))
-        if found.refused:
-            first = min(found.refused)
-            raise ParameterError(f"copy {rows[first]}: {found.refused[first]}")
+        found = self._assigned(values, rows)
         x, u, p = (np.ascontiguousarray(column) for column in (found.x, found.u, found.p))
         good = lane_starts(self._library, self._dae, time, x, u, p)
         if not good.all():
@@ -85,13 +82,16 @@ class LaneCopies:
             self.invalid.pop(number, None)
         self._known = None
 
-    def _assigned(self, values: Mapping[str, Any], count: int) -> ManyValues:
-        """Return values of copies, (count,); a number or a text with a unit holds for all."""
+    def _assigned(self, values: Mapping[str, Any], rows: Integers) -> ManyValues:
+        """Return values of some copies; a number or a text with a unit holds for all of them."""
         texts = {name: value for name, value in values.items() if isinstance(value, str)}
         numbers = requested(self._dae, start_values=texts).values if texts else {}
         columns = {**{name: v for name, v in values.items() if name not in texts}, **numbers}
+        count = len(rows)
         every = {name: np.broadcast_to(v, count) for name, v in columns.items()}
         found = assign_many(self._dae, every)
+        for first, why in sorted(found.refused.items())[:1]:
+            raise ParameterError(f"copy {rows[first]}: {why}")
         if len(found) == count:
             return found
         x, p, u = (np.repeat(row, count, axis=0) for row in (found.x, found.p, found.u))
@@ -138,7 +138,6 @@ class LaneCopies:
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Engine.set`."""
-        count = len(self._rows["x"])
         settable = (*self.inputs, *self._tunable)
         for name in values:
             if name in settable:
@@ -146,10 +145,7 @@ class LaneCopies:
             if name not in (*self._recorded, *self._parameters):
                 raise UnknownName.among(self.name, "input", name, settable)
             raise not_settable(self.name, name, self.inputs)
-        found = self._assigned(values, count)
-        if found.refused:
-            first = min(found.refused)
-            raise ParameterError(f"copy {first}: {found.refused[first]}")
+        found = self._assigned(values, np.arange(len(self._rows["x"])))
         for kind, names, table in (("u", self.inputs, found.u), ("p", self._parameters, found.p)):
             for column, name in enumerate(names):
                 if name in values:

@@ -236,6 +236,11 @@ class Session(Life):
             self._require()
         self._values.set(values, named)
 
+    def present(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values that `set` would replace, exactly, to be set again."""
+        self._require()
+        return self._values.present(values)
+
     def get(self, names: Sequence[str] | None = None) -> Vector:
         """Return values.
 

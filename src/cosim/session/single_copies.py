@@ -69,16 +69,17 @@ class SingleCopies:
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Set inputs and tunable parameters; see `Engine.set`."""
-        names, before = list(values), dict[int, Vector]()
+        before = dict[int, dict[str, Any]]()
         try:
             for number in np.setdiff1d(np.arange(len(self._sessions)), [*self.reasons]).tolist():
                 with _naming(number):
-                    present = self._sessions[number].get(names) if names else np.empty(0)
-                    self._sessions[number].set(_of(values, number))
+                    own = _of(values, number)
+                    present = self._sessions[number].present(own)
+                    self._sessions[number].set(own)
                 before[number] = present
         except CosimError:
-            for number, row in before.items():
-                self._sessions[number].set(dict(zip(names, row.tolist(), strict=True)))
+            for number, present in before.items():
+                self._sessions[number].set(present)
             raise
 
     def get(self, names: tuple[str, ...], time: float) -> Vector:

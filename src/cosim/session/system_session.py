@@ -130,9 +130,8 @@ class SystemSession(Life):
         Raises:
             FmuError: A part cannot write its state as bytes, or allows one instance only.
         """
-        self._require()
-        parts = self._instances.parts
-        abilities = (part.abilities for part in parts.values())
+        self._require()  # before its states are read
+        abilities = (part.abilities for part in self._instances.parts.values())
         self._reject_copy(abilities, serializes=self._states.serializes)
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
@@ -222,6 +221,17 @@ class SystemSession(Life):
             by_part.setdefault(part, {})[name] = value
         if by_part:
             self._change(by_part)
+
+    def present(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values that `set` would replace, exactly, to be set again."""
+        self._require()
+        found = dict[str, Any]()
+        for name, one in values_of(self._system.parts, values, self._connectors):
+            part = self._instances.parts[name]
+            access = access_to([self._variable(name, one)], part.instance, part.description)
+            with explained(self.name, part):
+                (found[f"{name}.{one}"],) = access.get()
+        return found
 
     def _variable(self, part: str, name: str) -> Any:
         return by_name(self._instances.parts[part].description)[name]

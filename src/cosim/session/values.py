@@ -1,6 +1,6 @@
 """`Values`: variables of a session, set and read by prepared calls."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from math import isfinite
 from typing import Any
@@ -70,6 +70,14 @@ class Values:
                     earlier.buffer[:] = value
                     earlier.set()
                 self._check(status, "Set")
+
+    def present(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return values of variables that may be set, in their own types."""
+        found = dict[str, Any]()
+        for name in names:
+            _, group = self._setters.get(name) or self._setter(name)
+            (found[name],) = self._present(group)[group.places].tolist()
+        return found
 
     def _present(self, group: Group) -> Vector:
         """Return the values of a group."""

@@ -205,7 +205,7 @@ def compare(
                 "file, set its units: read_csv(path, like=run) or read_csv(path, units={...})"
             )
     note = ""
-    first, second = runs = _up_to_the_stop(first.select(names), second.select(names))
+    first, second = runs = _up_to_the_stop(first.select(names), second.select(names), bound)
     if resample and len(first) and len(second) and apart(first, second) is not None:
         if "file" in second.stats and "file" not in first.stats:
             second, first, note = _on_common_times(second, first, "second", "first")
@@ -220,7 +220,7 @@ def compare(
     if gaps.all(axis=0).any():
         name = names[int(np.argmax(gaps.all(axis=0)))]
         raise UsageError(f"{name} has no measured value there; leave it out: without=['{name}']")
-    sizes, small = (_nominals(first),) * 2 if by_nominal else _sizes(first, second)
+    sizes, small = (_nominals(first),) * 2 if by_nominal else sizes_of(first, second)
     scaled = np.abs(values) / sizes
     scaled = np.where(gaps, 0.0, np.where(np.isnan(scaled), np.inf, scaled))  # NaN never agrees
     differences = []
@@ -258,7 +258,7 @@ def _nominals(run: Trajectory) -> Vector:
     return np.array([column.nominal for column in run.columns])
 
 
-def _sizes(first: Trajectory, second: Trajectory) -> tuple[Vector, Vector]:
+def sizes_of(first: Trajectory, second: Trajectory) -> tuple[Vector, Vector]:
     """Return what differences are divided by, and the largest values of small states.
 
     The first are nominal values, or how large small states become, unless that may be errors; the
@@ -319,10 +319,17 @@ def _on_common_times(
     return part, resampled, note + f"the {other} run is {how}"
 
 
-def _up_to_the_stop(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory]:
-    """Leave out the last row if both runs were stopped, one just before an output time."""
+def _up_to_the_stop(
+    first: Trajectory, second: Trajectory, bound: float
+) -> tuple[Trajectory, Trajectory]:
+    """Leave out the last row if both runs were stopped, one just before an output time.
+
+    The time at which a motion just reaches a condition is off by the root of the motion's error.
+    """
     n, stopped = apart(first, second), "stop" in first.stats and "stop" in second.stats
     if not (n and stopped and max(len(first), len(second)) - n < 3):
+        return first, second
+    if abs(first.time[-1] - second.time[-1]) > np.sqrt(bound) * np.ptp(first.time):
         return first, second
     first, second = (replace(r, time=r.time[:n], values=r.values[:n]) for r in (first, second))
     return first, second

@@ -20,7 +20,7 @@ from cosim.host.temporary import temporary_folder
 from cosim.integrate.run import run as execute
 from cosim.model.catalogue import formulations, load
 from cosim.model.request import Policy, RunRequest
-from cosim.model.solver import Tolerance
+from cosim.model.solver import LEAST_RELATIVE, Tolerance
 from cosim.model.times import Times
 from cosim.model.values import number
 from cosim.scene.scene import Scene
@@ -209,10 +209,10 @@ def _couplings(
                     accuracy=_OF_BOUND * bound,
                     method=method,
                 )
-        except _FAILURES as error:
+            difference = compare(run, other, bound=bound, resample=False)
+        except (*_FAILURES, UsageError) as error:
             yield Check(system.name, backend, run.stats["solver"], None, failure=str(error))
             continue
-        difference = compare(run, other, bound=bound, resample=False)
         yield Check(system.name, backend, run.stats["solver"], difference, dict(other.stats))
 
 
@@ -246,9 +246,9 @@ def _backend(
 
     try:
         other = again(request)
-    except _FAILURES as error:
+        difference = compare(run, other, bound=bound, resample=False)
+    except (*_FAILURES, UsageError) as error:  # also of runs that stop at different times
         return Check(name, backend, solver, None, failure=str(error))
-    difference = compare(run, other, bound=bound, resample=False)
     first = Check(name, backend, solver, difference, dict(other.stats))
     if difference.agrees:
         return first
@@ -268,26 +268,25 @@ def _against_reference(
     """
     assert check.comparison is not None
     bound = check.comparison.bound
-    tolerance = request.tolerance.relative if request.tolerance else 0.0
+    tolerance = request.relative_tolerance or 0.0
     try:
         with doing(f"{request.dae.full_name}, reference"):
             best = reference(request)
         truth = best.run.select(names)
     except CosimError as error:
-        advice = f"try {_SETTING} {tolerance / 10:g}; no reference: {error}"
-        return replace(check, note=advice)
+        return replace(check, note=f"{_advice(tolerance)}; no reference: {error}")
     found = check
-    for tighter in (1.0, 0.1, 0.01) if again else (1.0,):
-        now = tighter * tolerance
+    tighter = (tolerance * share for share in (0.1, 0.01) if again)
+    for now in (tolerance, *(one for one in tighter if one >= LEAST_RELATIVE)):
         try:
-            if again and tighter < 1:
+            if again and now < tolerance:
                 other = again(replace(request, solver=Tolerance(now)))
             difference = compare(truth, other, bound=bound, resample=False)
-        except _FAILURES:
+        except (*_FAILURES, UsageError):
             break
         nominal = {column.name: column.nominal for column in truth.columns}
         doubt = max(best.errors[d.name] * nominal[d.name] / d.size for d in difference)
-        stats, note = dict(other.stats), f"at relative tolerance {now:g}" if tighter < 1 else ""
+        stats, note = dict(other.stats), f"at relative tolerance {now:g}" if now < tolerance else ""
         found = replace(check, against=best.method, comparison=difference, doubt=doubt)
         found = replace(found, stats=stats, note=note)
         if found.verdict is not Verdict.DIFFERS:
@@ -302,7 +301,8 @@ def _against_reference(
 
 
 def _advice(tolerance: float) -> str:
+    tighter = f"{_SETTING} {tolerance / 10:g} or " if tolerance / 10 >= LEAST_RELATIVE else ""
     return (
-        f"try {_SETTING} {tolerance / 10:g} or a shorter run; if neither helps, the motion is too "
-        "sensitive, or one of the two is wrong"
+        f"try {tighter}a shorter run; if that does not help, the motion is too sensitive, or one "
+        "of the two is wrong"
     )

@@ -41,14 +41,14 @@ from cosim.model.times import checked_grid
 from cosim.model.values import number
 from cosim.text import sentence
 from cosim.trajectory import Column, Event, Trajectory
-from cosim.verify.comparison import Check, Verdict, compare, rows_at
+from cosim.verify.comparison import Check, Verdict, compare, rows_at, sizes_of
 from cosim.verify.crosscheck import BOUND
 
 OWN = "reference"
 REFERENCE = "documentation/reference.csv"
 MEASURED = "documentation/reference.json"
 MOST_ROWS = 201
-CONSTANT_NOISE = 1e-10  # range of a constant result, in nominal values: rounding and tolerance
+CONSTANT_NOISE = 1e-10  # range of a constant result, in its size: rounding and tolerance
 LOOSER = 10.0  # factor on the tolerance where the same solver estimates its own error
 AFFORDABLE = 5000  # most operations of equations that a second method integrates interpreted
 _TRY = "try a tighter reference_tolerance of the model, a shorter span, or a tighter tolerance"
@@ -195,7 +195,7 @@ def _reference_run(dae: Dae, tolerance: float) -> tuple[Trajectory, float, str]:
         if estimate is None:
             continue
         doubt, by = estimate
-        quiet = without_noise(run.values, [column.nominal for column in run.columns])
+        quiet = without_noise(run.values, sizes_of(run, run)[0])
         return replace(run, values=quiet), doubt, by
     raise first or SolverError(f"{dae.full_name}: no second run confirms the first one")
 
@@ -230,14 +230,14 @@ def _plain(dae: Dae, solver: str | None, compiled: bool | None, tolerance: float
     return execute(request)
 
 
-def without_noise(values: Vector, nominal: Sequence[float]) -> Vector:
+def without_noise(values: Vector, sizes: Sequence[float] | Vector) -> Vector:
     """Return results, (n, variables), whose constants and zeros are exact.
 
     Importers compare a result with a band around the reference. Its width is a part of the
     reference's range, which for a constant would be rounding noise.
     """
     quiet = values.copy()
-    for column, size in zip(quiet.T, nominal, strict=True):
+    for column, size in zip(quiet.T, sizes, strict=True):
         if np.ptp(column) <= CONSTANT_NOISE * size:
             column[:] = 0.0 if abs(column[0]) <= CONSTANT_NOISE * size else column[0]
     return quiet

@@ -1,6 +1,8 @@
 """Extreme cases: a sample in every test run, all of them in the slow one."""
 
+import json
 import random
+import threading
 from dataclasses import replace
 
 import matplotlib.image
@@ -14,7 +16,7 @@ from cosim.errors import UnknownName
 from cosim.integrate.run import run
 from cosim.plotting import save
 from cosim.present.study_figures import draw_map
-from cosim.study.extremes import oracles
+from cosim.study.extremes import campaign, oracles
 from cosim.study.extremes.campaign import (
     HANG,
     WRONG,
@@ -134,6 +136,32 @@ def test_result_with_a_value_that_is_no_number_is_silent(name):
 def test_case_without_a_reference_is_unverified():
     right = find("bar: damping", "b = 0.02 ft.lbf.s/rad, cvodes", "bar_on_frame/reduced")
     assert assess(replace(right, references=())).outcome == "unverified"
+
+
+def test_a_child_that_answers_while_it_is_killed_fails_no_other_case(monkeypatch):
+    class Answering:
+        """It answers a case named late when it has been killed, and nothing afterwards."""
+
+        def __init__(self):
+            self.killed = threading.Event()
+
+        def ask(self, question):
+            if self.killed.is_set():
+                raise EOFError
+            if json.loads(question)["name"] == "late":
+                self.killed.wait(10)
+            return json.dumps(["accurate", 0.0, "", 0.1])
+
+        def kill(self):
+            self.killed.set()
+
+        def end(self):
+            return -9
+
+    monkeypatch.setattr(campaign._CaseWorker, "_start", lambda _: Answering())
+    cases = [replace(CASES[0], name=name, long=False) for name in ("late", "next")]
+    found = [finding.outcome for finding in explore(cases, timeout=0.05, jobs=1)]
+    assert found == ["hang", "accurate"]
 
 
 @pytest.mark.slow

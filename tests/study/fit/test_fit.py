@@ -5,6 +5,7 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.fmu_files import set_attributes, with_description
 
 import cosim
 from cosim.cli.main import main
@@ -305,6 +306,36 @@ def test_error_of_a_temperature_is_shown_as_a_difference():
     assert row["error"] == pytest.approx(kelvin.std(ddof=1) / np.sqrt(len(TIMES)), rel=1e-6)
 
 
+@pytest.mark.parametrize("scale", [1e-20, 1e-12, 1e12])
+def test_errors_of_a_fit_do_not_depend_on_the_size_of_what_is_measured(scale):
+    noise = np.random.default_rng(3).normal(0, 0.01, len(TIMES))
+    measured = record({"x": scale * (np.exp(-2 * TIMES) + noise)})
+    found = fit(DECAY, measured, {"k": 1.0}, start_values={"x": scale})
+    usual = fit(DECAY, record({"x": measured["x"] / scale}), {"k": 1.0})
+    assert found.values == pytest.approx(usual.values, rel=1e-6)
+    assert found.errors == pytest.approx(usual.errors, rel=1e-4)  # before: 1 of 1e-12 m for 1e-2
+
+
+@pytest.mark.parametrize(("low", "start"), [(0.03, 0.41), (0.05, 0.67), (0.05, 0.19)])
+def test_a_value_ends_at_its_bound_whatever_its_scale_rounds_to(low, start):
+    assert low / start * start < low
+    model = cosim.Model("bounded", stop_time=2.0)
+    x, k = model.state("x", "m", 1.0, "x"), model.parameter("k", "1/s", 0.5, "rate", minimum=low)
+    model.derivative(x, -k * x)
+    measured = record({"x": np.exp(-(low - 1e-9) * TIMES[::2])}, TIMES[::2])
+    found = fit(model.freeze(), measured, {"k": start}, solver="dop853")
+    assert found.values["k"] == pytest.approx(low, abs=1e-7)
+
+
+@pytest.mark.slow
+def test_fmu_with_a_start_time_of_its_own_is_fitted_from_0(tmp_path):
+    path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")
+    edit = set_attributes("DefaultExperiment", startTime="5", stopTime="7")
+    late = with_description(path, tmp_path / "late.fmu", edit)
+    found = fit(late, noisy(8, size=0), {"k": 1.0}, start_values={"x": 3.0})
+    assert found.values["k"] == pytest.approx(2.0, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_fmu_is_fitted_by_finite_differences(tmp_path):
     path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")
@@ -406,6 +437,35 @@ def build():
 """
 
 
+def test_command_takes_the_solver_of_a_scene_and_ends_series_of_what_it_sets(
+    tmp_path, capsys, monkeypatch
+):
+    used = []
+
+    def noted(*given, **settings):
+        used.append(settings["solver"])
+        return fit(*given, **settings)
+
+    monkeypatch.setattr("cosim.cli.verbs.fit.fit", noted)
+    (tmp_path / "drop.py").write_text(
+        OWN.replace("a)\n", 'a * (0.5 - x) + model.input("u", "m/s", 0.0, "u"))\n')
+    )
+    (tmp_path / "u.csv").write_text("time,u\n0,0\n2,1\n")
+    scene = tmp_path / "driven.toml"
+    scene.write_text(
+        'model = "drop.py:build"\n[inputs]\nfile = "u.csv"\n[run]\nsolver = "cvodes_adams"\n'
+    )
+    dae = cosim.load(f"{tmp_path / 'drop.py'}:build")
+    run = cosim.simulate(dae, start_values={"a": 2.0, "u": 0.3}, output_times=TIMES)
+    run.to_csv(tmp_path / "data.csv")
+    for given in ("u=0.3", "u=0:1"):
+        words = ["fit", str(scene), str(tmp_path / "data.csv"), "-p", "a=0.1:10", "-p", given]
+        assert main([*words, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["values"]["a"] == pytest.approx(2.0, rel=1e-6)
+    assert used == ["cvodes_adams"] * 2
+
+
 def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
     (tmp_path / "own.py").write_text(OWN)
     (tmp_path / "d.csv").write_text("time,x\n0,2\n1,5\n2,8\n3,11\n")
@@ -423,13 +483,27 @@ def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
         found.write_scene(tmp_path / "third.toml")
 
 
+def test_scene_of_a_fitted_system_is_read_from_any_folder(tmp_path):
+    folder = tmp_path / "\U0001f600"
+    folder.mkdir()
+    code = OWN.replace(
+        "return model.freeze()", "return cosim.couple({'m': model.freeze()}, {}).dae"
+    )
+    (folder / "own.py").write_text(code)
+    measured = record({"m.x": 1 + 3 * TIMES})
+    found = fit(f"{folder / 'own.py'}:build", measured, ["m.a"])
+    found.write_scene(tmp_path / "fitted.toml")
+    scene = cosim.read_scene(tmp_path / "fitted.toml")
+    assert scene.request.values == pytest.approx({"m.a": 3.0})
+
+
 def test_command_rejects_a_scene_that_does_not_begin_at_0(tmp_path, capsys):
     scene, data = tmp_path / "late.toml", tmp_path / "d.csv"
     scene.write_text('model = "crank_shaft"\n[run]\nstart_time = 2.0\nstop_time = 3.0\n')
     data.write_text("time [s],phi [rad]\n2.0,0.0\n2.5,1.0\n3.0,2.0\n")
     assert main(["fit", str(scene), str(data), "--free", "alpha"]) == 2
     text = capsys.readouterr().err
-    assert "begins at 2 s, but the runs of a fit at 0 s; set its start_time to 0" in text
+    assert "begins at 2 s, but the runs of a fit begin at 0 s; set its start_time to 0" in text
 
 
 @pytest.mark.parametrize("speed", [np.float64(50.0), np.int64(50)])

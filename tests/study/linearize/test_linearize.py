@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.bicycle_oracles import CAPSIZE_SPEED, WEAVE_FREQUENCY, WEAVE_SPEED
+from helpers.fmu_files import set_attributes, with_description
 
 import cosim
 from casadi_models.dae import Model
@@ -247,6 +248,28 @@ def test_fmu_whose_inputs_and_outputs_act_by_time_has_the_system_of_its_start(fm
     path = cosim.export_fmu(model.freeze(), tmp_path / "timed.fmu", fmi=fmi)
     found = linearize(path, outputs=["y"])
     assert (found.A.item(), found.B.item(), found.C.item(), found.D.item()) == (-1, 1, 1, 0)
+
+
+def test_equilibrium_is_that_at_the_start_time():
+    model = Model("ramp", stop_time=10.0)
+    x, y = model.state("x", "1", 0.0, "switched"), model.state("y", "1", 0.0, "driven")
+    model.derivative(x, ca.if_else(model.t > 3, 2.0, 1.0) - x)
+    model.derivative(y, model.t - y)
+    found = linearize(model.freeze(), at="equilibrium", start_time=5.0)
+    assert found.x == pytest.approx([2.0, 5.0], abs=1e-10)
+    assert found.is_steady
+
+
+def test_fmu_is_linearized_at_its_own_start_time(tmp_path):
+    model = Model("timed", stop_time=10.0)
+    x, u = model.state("x", "1", 0.5, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, (1 + model.t) * u - x)
+    model.output("y", "1", ca.cos(model.t) * x, "output")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "timed.fmu")
+    edit = set_attributes("DefaultExperiment", startTime="2", stopTime="3")
+    found = linearize(with_description(path, tmp_path / "late.fmu", edit), outputs=["y"])
+    assert (found.time, found.B.item()) == (2.0, 3.0)
+    assert found.C.item() == pytest.approx(np.cos(2.0))
 
 
 def test_fmu_with_structured_names_has_each_variable_once(tmp_path):

@@ -41,6 +41,18 @@ def test_sampled_loop_has_the_matrices_of_its_discrete_map(offset):
     assert found.modes[0].growth == pytest.approx(-factor - 1, rel=1e-9)
 
 
+@pytest.mark.parametrize("begin", [1e6, 1e6 + 0.03, 1e9])
+def test_sampled_loop_has_its_map_at_late_times(begin):
+    model = Model("late", stop_time=1.0)
+    x, u = model.state("x", "m", 0.0, "x"), model.discrete("u", "1", 0.0, "control")
+    model.derivative(x, u - x)
+    model.every(0.1, {u: -x}, offset=begin % 0.1)
+    found = linearize(model.freeze(), start_time=begin)
+    factor = np.exp(-0.1) - (1 - np.exp(-0.1))
+    rounding = 4 * np.spacing(begin)
+    np.testing.assert_allclose(found.A, [[factor, 0], [-1, 0]], rtol=0, atol=1e-9 + rounding)
+
+
 def test_sampled_loop_is_linearized_after_a_time_of_a_run_too():
     found = linearize(sampled(2.0, target=3.0), at=20.0)
     assert found.is_steady

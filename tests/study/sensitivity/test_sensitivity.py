@@ -360,3 +360,18 @@ def test_order_of_events_at_one_time_matters_for_a_small_state_too():
     model.when(b < 0, {d: 1.0}, name="second")
     with pytest.raises(SolverError, match=r"first, second at 0\.5 s happen at one time"):
         sensitivity(model.freeze(), outputs=["y"], check=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds"),
+    [("k", (0.99995, 1.00005)), ("k", (0.99999, 2.0)), ("k", (0.0, 1.0)), ("e", (0.0, 1e-5))],
+)
+def test_check_stays_within_narrow_bounds(name, bounds):
+    model = cosim.Model("narrow", stop_time=1.0)
+    x, own = model.state("x", "1", 1.0, "state"), {"minimum": bounds[0], "maximum": bounds[1]}
+    k = model.parameter("k", "1/s", 1.0, "rate", **(own if name == "k" else {}))
+    e = model.parameter("e", "1/s", 0.0, "more", **(own if name == "e" else {}))
+    model.derivative(x, -(k + e) * x)
+    found = cosim.sensitivity(model.freeze(), with_respect_to=[name])
+    assert found["x", name][-1] == pytest.approx(-np.exp(-1), rel=1e-7)
+    assert found.check.scaled < 1e-6  # measured 5e-8

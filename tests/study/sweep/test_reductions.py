@@ -54,6 +54,14 @@ def test_other_words_are_rejected(words, error):
         keep_from(words, ["a", "b"])
 
 
+@pytest.mark.parametrize("name", ["a[1,2]", "a[1].b", "der(x)", "a b"])
+def test_names_of_fmus_are_read(name):
+    words = [f"max({name})", f"first( {name} , -1e-3)"]
+    kept = keep_from(words, ["a", name])
+    assert kept.reductions == (Reduction("max", name), Reduction("first", name, -1e-3))
+    assert keep_from(kept.words(), ["a", name]) == kept
+
+
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_numbers_of_a_sweep_are_those_of_the_motion(solver):
     model = cosim.Model("oscillator", stop_time=1.0)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,6 +77,18 @@ def test_names_that_no_folder_has_are_rejected(name, tmp_path):
     with pytest.raises(UsageError, match="cannot be the name of a folder"):
         Store.created(layout(samples), tmp_path / "other")
     assert not (tmp_path / "other").exists()
+
+
+def test_names_that_differ_in_case_only_need_a_place_where_case_counts(tmp_path, monkeypatch):
+    def exists(path):
+        names = [one.name.lower() for one in path.parent.iterdir()] if path.parent.is_dir() else []
+        return path.name.lower() in names
+
+    both = layout(Samples({"m": np.arange(40.0), "M": np.arange(40.0)}))
+    Store.created(both, tmp_path / "both")
+    monkeypatch.setattr(Path, "exists", exists)
+    with pytest.raises(UsageError, match="'M' cannot be the name of a folder of its own"):
+        Store.created(both, tmp_path / "one")
 
 
 def content(folder):

@@ -4,13 +4,22 @@ import argparse
 from functools import partial
 from typing import Any
 
-from cosim.cli.arguments import assigned, named_scene, names_in, start_numbers, value_in, value_of
+from cosim.cli.arguments import (
+    assigned,
+    named_scene,
+    names_in,
+    start_numbers,
+    value_in,
+    value_of,
+    with_values,
+)
 from cosim.cli.runs import model_columns, read_measured
 from cosim.cli.tables import note, show_table
 from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
+from cosim.model.solver import AdaptiveSolver
 from cosim.study.fit.fit import fit
 from cosim.study.fit.result import Fit
 from cosim.text import json_text
@@ -21,39 +30,43 @@ _FORMS = "A:B, A:C:B or VALUE[UNIT]"
 def run(args: argparse.Namespace) -> int:
     """Fit values, show them with their confidence, and write a scene or an FMU."""
     model: Any = args.model
-    dae, like, reference = None, None, ""
-    start, settings = dict[str, float](), dict[str, Any]()
+    dae, inputs, like, reference, settings = None, None, None, "", dict[str, Any]()
+    ranges = [item for item in args.values if ":" in item.partition("=")[2]]
+    args.values = [item for item in args.values if item not in ranges]
     if args.model.lower().endswith(".fmu"):
         if args.output_file:
             raise UsageError("-o writes a scene or an FMU of a model; an FMU was given")
         require_trust(args.model, trusted=args.trust)
+        start = start_numbers(args, dae)
     else:
         scene = named_scene(args.model)
-        request, reference = scene.request, scene.model
+        request, reference = with_values(args, scene.request), scene.model
         if begin := request.times.start:
             raise UsageError(
-                f"{scene.name} begins at {begin:g} s, but the runs of a fit at 0 s; set its "
+                f"{scene.name} begins at {begin:g} s, but the runs of a fit begin at 0 s; set its "
                 "start_time to 0, and shift the records (--time-offset)"
             )
         model = dae = request.dae
         start, like = dict(request.values), model_columns(dae)
-        settings["inputs"] = request.inputs
-        settings["solver"] = args.solver
-    ranges = [item for item in args.values if ":" in item.partition("=")[2]]
-    args.values = [item for item in args.values if item not in ranges]
+        inputs, own = request.inputs, request.solver
+        settings["solver"] = args.solver or (own.name if isinstance(own, AdaptiveSolver) else None)
+        settings["relative_tolerance"] = request.relative_tolerance
     unknowns: dict[str, Any] = dict.fromkeys(names_in(args.free)) if args.free else {}
     for name, text in assigned("-p", ranges, _FORMS):
         parts = text.split(":")
         reject_mixed_units(f"-p {name}", parts)
         unknowns[name] = tuple(value_of(dae, name, part) for part in parts)
-    start = {n: v for n, v in {**start, **start_numbers(args, dae)}.items() if n not in unknowns}
+    start = {name: value for name, value in start.items() if name not in unknowns}
+    if inputs is not None:
+        settings["inputs"] = inputs.only({*inputs.names} - unknowns.keys())
     records = [read_measured(args, path, like) for path in args.data]
     units = {column.name: column.unit for record in records for column in record.columns}
     noise = {
         name: value_in(name, text, units.get(name), difference=True)
         for name, text in assigned("--noise", args.noise, "SIZE[UNIT]")
     }
-    settings["relative_tolerance"] = args.relative_tolerance
+    if args.relative_tolerance is not None:
+        settings["relative_tolerance"] = args.relative_tolerance
     fitted = partial(run_apart, timeout=args.timeout, function=fit) if dae is None else fit
     found = fitted(
         model,

@@ -194,6 +194,15 @@ def communication_points(start: float, stop: float, interval: float, *, any_step
     return frozen(times)
 
 
+def default_span(description: Any) -> tuple[float, float]:
+    """Return begin and end of an FMU's default experiment, s; 1 s later where it gives none."""
+    begin, end = (
+        getattr(description.defaultExperiment, name, None) for name in ("startTime", "stopTime")
+    )
+    start = float(begin or 0.0)
+    return start, start + 1 if end is None else float(end)
+
+
 def _times(
     name: object, description: Any, start: float | None, stop: float | None, interval: float | None
 ) -> tuple[float, float, float]:
@@ -201,18 +210,13 @@ def _times(
 
     fmpy has another default interval.
     """
-    experiment = description.defaultExperiment
-
-    def default(attribute: str, otherwise: float) -> float:
-        value = getattr(experiment, attribute, None)
-        return otherwise if value is None else float(value)
-
-    start = number(str(name), "start_time", default("startTime", 0.0) if start is None else start)
-    length = default("stopTime", default("startTime", 0.0) + 1) - default("startTime", 0.0)
-    stop = number(str(name), "stop_time", start + length if stop is None else stop)
+    begin, end = default_span(description)
+    start = number(str(name), "start_time", begin if start is None else start)
+    stop = number(str(name), "stop_time", start + (end - begin) if stop is None else stop)
     reject_span(start, stop, f"{name}: ")
     if interval is None:
-        interval = default("stepSize", (stop - start) / 500) or 1.0
+        step = getattr(description.defaultExperiment, "stepSize", None)
+        interval = ((stop - start) / 500 if step is None else float(step)) or 1.0
     interval = number(str(name), "output_interval", interval, positive=True)
     if (stop - start) / interval > MOST_POINTS:
         raise ParameterError(

@@ -9,6 +9,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from importlib import import_module
@@ -138,19 +139,26 @@ class _CaseWorker:
         self._process = self._start()
 
     def assess(self, case: Case, timeout: float) -> CaseFinding:
-        began = perf_counter()
-        guard = threading.Timer(min(timeout, MOST_WAIT), self._process.kill)
+        began, late = perf_counter(), threading.Event()
+
+        def kill() -> None:
+            late.set()
+            self._process.kill()
+
+        guard = threading.Timer(min(timeout, MOST_WAIT), kill)
         guard.start()
-        try:
-            return CaseFinding(case, *json.loads(self._process.ask(json.dumps(asdict(case)))))
-        except (OSError, EOFError):
-            seconds, code = perf_counter() - began, self._process.end()
-            with self._lock:
-                if not self._is_closed:
-                    self._process = self._start()
-        finally:
-            guard.cancel()
-        if seconds >= timeout:
+        answer = ""
+        with suppress(OSError, EOFError):
+            answer = self._process.ask(json.dumps(asdict(case)))
+        guard.cancel()
+        guard.join()  # else it might end the process in the next case
+        if answer and not late.is_set():
+            return CaseFinding(case, *json.loads(answer))
+        seconds, code = perf_counter() - began, self._process.end()
+        with self._lock:
+            if not self._is_closed:
+                self._process = self._start()
+        if late.is_set():
             return CaseFinding(case, "hang", None, f"killed after {timeout:g} s", seconds)
         return CaseFinding(case, "crash", None, f"the process ended with code {code}", seconds)
 

@@ -190,22 +190,29 @@ class _Problem:
             found.append(np.broadcast_to(places, known.shape)[known])
         return np.concatenate(found)
 
+    def _largest(self, name: str) -> float:
+        """Return the largest size of all measurements of an output."""
+        rows = (record[name] for record in self.records if name in record)
+        return max(float(np.abs(row[np.isfinite(row)]).max(initial=0.0)) for row in rows)
+
     def reject_overflow(self) -> None:
         """Reject measurements whose squares exceed what doubles hold."""
-        most = max(
-            np.abs(r.values[known]).max(initial=0.0)
-            for r, known in zip(self.records, self.known, strict=True)
-        )
-        if not np.isfinite(float(most) * float(most) * self.samples):
+        most = max(map(self._largest, self.names))
+        if not np.isfinite(most * most * self.samples):
             raise ParameterError(
                 f"fit: {most:g} is measured, and the squares of these measurements have no size; "
                 "correct the record"
             )
 
     def noise(self, given: Mapping[str, float] | None) -> Vector:
-        """Return the noise of each output: given, or nominal values to begin with, (outputs,)."""
+        """Return the noise of each output: given, or its size to begin with, (outputs,).
+
+        That is the nominal value, or the largest measurement if it is smaller.
+        """
         if given is None:
-            return np.array([self.subject.column(name).nominal for name in self.names])
+            nominal = (self.subject.column(name).nominal for name in self.names)
+            pairs = zip(self.names, nominal, strict=True)
+            return np.array([min(size, self._largest(name) or size) for name, size in pairs])
         UnknownName.reject("fit: noise", "measured variable", self.names, *given)
         missing = [name for name in self.names if name not in given]
         if missing:
@@ -214,7 +221,7 @@ class _Problem:
 
     def values(self, x: Vector, record: int) -> dict[str, float]:
         """Return all values of the run of a record by name."""
-        own = (x * self.unknowns.sizes).tolist()
+        own = self.unknowns.of_scaled(x).tolist()
         return {**self.fixed, **{n: own[i] for n, i in self.unknowns.of_record(record).items()}}
 
     def residuals(self, x: Vector) -> Vector:
@@ -365,7 +372,7 @@ class _Problem:
         )
         return Fit(
             columns=self.unknowns.columns,
-            x=best.x * sizes,
+            x=self.unknowns.of_scaled(best.x),
             covariance=covariance * scales * scales[:, None],
             confidence=confidence,
             reach=reach,
@@ -406,7 +413,7 @@ class _Problem:
 
     def _at_bounds(self, best: _Solution) -> list[str]:
         low, high = self.unknowns.low, self.unknowns.high
-        x = best.x * self.unknowns.sizes
+        x = self.unknowns.of_scaled(best.x)
         bounds = np.where(x - low <= high - x, low, high)
         found = [
             f"{self.unknowns.names[place]} ends at its bound {bounds[place]:.6g} and has no error; "
@@ -416,7 +423,7 @@ class _Problem:
         return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
 
 
-EPS = 1e-12  # least noise of an output, in nominal values, so that exact records have weights
+EPS = 1e-12  # least noise of an output, in its size, so that exact records have weights
 
 
 def _records(subject: Subject, measured: Any) -> tuple[Trajectory, ...]:

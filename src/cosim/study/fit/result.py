@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,11 +150,12 @@ class Fit:
             reference = f"{own}:{function}"
         home = {v.name: "parameters" for v in dae.parameters}
         home |= {v.name: "inputs" for v in dae.inputs}
-        lines = [f"model = {json.dumps(reference or dae.full_name)}"]
+        lines = [f"model = {_quoted(reference or dae.full_name)}"]
         for section in ("parameters", "start", "inputs"):
             chosen = {n: v for n, v in self.settled.items() if home.get(n, "start") == section}
-            if chosen:
-                lines += ["", f"[{section}]", *(f"{n} = {float(v)!r}" for n, v in chosen.items())]
+            keys = (n if re.fullmatch(r"[A-Za-z0-9_-]+", n) else _quoted(n) for n in chosen)
+            rows = [f"{n} = {float(v)!r}" for n, v in zip(keys, chosen.values(), strict=True)]
+            lines += ["", f"[{section}]", *rows] if rows else []
         return "\n".join(lines) + "\n"
 
     def write_scene(self, target: str | os.PathLike[str], model: str = "") -> None:
@@ -199,3 +201,7 @@ class Fit:
 
     def _repr_html_(self) -> str:
         return html_table(self.rows(), str(self))
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)  # TOML knows no pairs of surrogates

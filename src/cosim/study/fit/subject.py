@@ -132,6 +132,7 @@ class FmuSubject:
         found = simulate_fmu(
             self.path,
             start_values=values,
+            start_time=0.0,
             stop_time=stop,
             output_interval=min(stop / 500, float(np.median(gaps))),
             outputs=names,

@@ -82,6 +82,10 @@ class Unknowns:
         nominal = np.array([column.nominal for column in self.columns])
         return np.where(self.initial == 0, nominal, np.abs(self.initial))
 
+    def of_scaled(self, x: Vector) -> Vector:
+        """Return values from scaled ones, SI, (n,); rounding leads none beyond a bound."""
+        return np.clip(x * self.sizes, self.low, self.high)
+
     def starts(self, count: int, seed: int) -> Vector:
         """Return the initial values, and further ones of a Latin hypercube, (count, n).
 

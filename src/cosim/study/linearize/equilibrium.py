@@ -20,7 +20,9 @@ MOST_NEWTON_STEPS = 60
 AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
 
 
-def equilibrium(dae: Dae, x: Vector, values: Values, over: PeriodMap | None) -> tuple[Vector, str]:
+def equilibrium(
+    dae: Dae, time: float, x: Vector, values: Values, over: PeriodMap | None
+) -> tuple[Vector, str]:
     """Return the steady state that Newton's method reaches, and its description.
 
     If several states can move, the step of least norm is taken. Invariants stay zero. Cyclic
@@ -28,6 +30,7 @@ def equilibrium(dae: Dae, x: Vector, values: Values, over: PeriodMap | None) -> 
 
     Args:
         dae: The model.
+        time: s, at which an equilibrium is sought where the equations contain time.
         x: The state at which Newton's method begins.
         values: Values of inputs and parameters.
         over: The map over a period for a periodic motion; None for an equilibrium.
@@ -38,7 +41,7 @@ def equilibrium(dae: Dae, x: Vector, values: Values, over: PeriodMap | None) -> 
     depends = influence(dae) if over is None else over.influence
     cyclic, driven = without_influence(depends), [bool(row.any()) for row in depends]
     free = [i for i in range(len(x)) if i not in cyclic]
-    search = _Search(dae, values, over)
+    search = _Search(dae, time, values, over)
     # A state whose rate depends on no state, e.g. a prescribed speed, retains its value, unless
     # there is no equilibrium with it
     try:
@@ -50,6 +53,7 @@ def equilibrium(dae: Dae, x: Vector, values: Values, over: PeriodMap | None) -> 
 @dataclass(frozen=True)
 class _Search:
     dae: Dae
+    time: float
     values: Values
     over: PeriodMap | None
 
@@ -68,8 +72,8 @@ class _Search:
             after = self.over(x)
             moved, slopes = after.x - x, after.by_x - np.eye(len(x))
             return moved / self.over.period, slopes / self.over.period
-        own, u, _ = followed(self.dae, 0.0, x, self.values)
-        rates, _, jacobian = at_point(own, (), 0.0, x, replace(self.values, u=u))
+        own, u, _ = followed(self.dae, self.time, x, self.values)
+        rates, _, jacobian = at_point(own, (), self.time, x, replace(self.values, u=u))
         return rates, jacobian[: len(x), : len(x)]
 
     def rest(self, x: Vector, resting: list[int], movable: list[int]) -> tuple[Vector, str]:
@@ -85,7 +89,7 @@ class _Search:
 
         def defect(x: Vector) -> tuple[Vector, Vector]:
             rates, jacobian = self.motion(x)
-            left, slope = (np.array(block) for block in law(0.0, x, values.u, values.p))
+            left, slope = (np.array(block) for block in law(self.time, x, values.u, values.p))
             rows = np.concatenate(((rates / sizes)[resting], left.ravel()))
             by_x = (jacobian / sizes[:, None])[np.ix_(resting, movable)]
             return rows, np.vstack((by_x, slope[:, movable])) * nominal

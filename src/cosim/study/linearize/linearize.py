@@ -178,7 +178,7 @@ def _linearized(
     if period is not None:
         over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
     if at == EQUILIBRIUM:
-        x, point = equilibrium(dae, x, values, over)
+        x, point = equilibrium(dae, time, x, values, over)
     return _linear_system(dae, names, time, x, values, point, over)
 
 

@@ -12,7 +12,7 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.description import by_name, choose_interface, read_description
 from cosim.fmi.run.instance import enter_continuous_time, initialize, instantiated
-from cosim.fmi.run.request import checked_values, output_names
+from cosim.fmi.run.request import checked_values, default_span, output_names
 from cosim.fmi.run.typed_values import is_number
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.local import (
@@ -50,6 +50,7 @@ def linearized_fmu(
             raise FmuError(f"{path} has no directional derivatives; linearize the model itself")
         variables = by_name(description)
         values = checked_values(path, variables, start_values or {})
+        start, _ = span = default_span(description)
         rates = [item.variable for item in description.derivatives]
         states = [rate.derivative for rate in rates]
         every = description.modelVariables
@@ -57,7 +58,7 @@ def linearized_fmu(
         shown = [variables[name] for name in output_names(path, variables, outputs)]
         with instantiated(folder, description, "ModelExchange", path) as (instance, explained):
             try:
-                initialize(instance, description, values, startTime=0.0)
+                initialize(instance, description, values, startTime=start)
                 event = enter_continuous_time(instance)
                 if np.isfinite(event):
                     raise FmuError(
@@ -71,8 +72,9 @@ def linearized_fmu(
                 jacobian = _jacobian(instance, unknowns, knowns)
                 noise = _noise(instance, rates, states, x, jacobian)
                 square = jacobian[: len(rates), : len(states)]
-                _reject_course(instance, description, square, noise, states, rates)
+                _reject_course(instance, description, span, square, noise, states, rates)
                 if np.isfinite(jacobian).all():
+                    instance.setTime(start)
                     groups, here = (states, inputs), np.concatenate((x, u))
                     _reject_corner(instance, description, here, jacobian, unknowns, groups)
             except FmuError:
@@ -90,7 +92,7 @@ def linearized_fmu(
         states=tuple(v.name for v in states),
         inputs=tuple(v.name for v in inputs),
         outputs=tuple(v.name for v in shown),
-        time=0.0,
+        time=start,
         x=x,
         u=u,
         y=y,
@@ -130,6 +132,7 @@ def _noise(
 def _reject_course(
     instance: Any,
     description: Any,
+    span: tuple[float, float],
     here: Vector,
     noise: Vector,
     states: Sequence[Any],
@@ -139,13 +142,14 @@ def _reject_course(
 
     Args:
         instance, description: The FMU.
+        span: Begin and end of its default experiment, s.
         here: Derivatives of the rates by the states at the start, (states, states).
         noise: What rounding leaves open in them.
         states, rates: fmpy's variables.
     """
-    stop = getattr(description.defaultExperiment, "stopTime", None)
+    begin, end = span
     for share in LATER:
-        time = share * float(stop or 1.0)
+        time = begin + share * (end - begin or 1.0)
         instance.setTime(time)
         change = np.abs(_jacobian(instance, rates, states) - here)
         if (change > noise + SAME * np.abs(here).max(initial=0.0)).any():
@@ -195,7 +199,6 @@ def _reject_corner(
         move(place)  # an event may have changed it
         return np.abs(_jacobian(instance, unknowns, knowns) - here) * scale
 
-    instance.setTime(0.0)
     directions = np.random.default_rng(0).uniform(-1, 1, (TRIALS, len(x)))
     for way in (side * shift * d for d in directions for side in (1, -1)):
         far, near = (change(x + share * way) for share in (1.0, NEARER))

@@ -6,6 +6,7 @@ from math import inf, isfinite, lcm, pi
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
@@ -24,10 +25,14 @@ class Samples(NamedTuple):
     period: float
     offset: float
 
+    def near(self, *times: float) -> float:
+        """Return by how much some times may miss a sample by rounding, s."""
+        return max(1e-9 * self.period, 4 * float(np.spacing(max(map(abs, times)))))
+
     def within(self, begin: float, end: float, *, at_begin: bool) -> Iterator[float]:
         """Yield the times from `begin` to `end`: with one of the two, as `at_begin` says."""
         count = round((begin - self.offset) / self.period) - 1
-        near = 1e-9 * self.period
+        near = self.near(begin, end)
         while (time := self.offset + count * self.period) <= end + near:
             count += 1
             first, last = abs(time - begin) <= near, abs(time - end) <= near
@@ -97,10 +102,10 @@ def of_samples(dae: Dae, i: int, values: Values) -> Samples:
     """Return the sample times of an event, by its position."""
     count = dae.events[i].condition
     assert count.op() == ca.OP_FLOOR
-    law = ca.Function("law", [dae.t, dae.p], [count.dep(0)])
-    begin, later = (float(law(t, values.p)) for t in (0.0, 1.0))
-    period = 1 / (later - begin)
-    return Samples(period, -begin * period)
+    line = count.dep(0)
+    law = ca.Function("law", [dae.t, dae.p], [line, ca.jacobian(line, dae.t)])
+    begin, rate = map(float, law(0.0, values.p))
+    return Samples(1 / rate, -begin / rate)
 
 
 def _varies_in_time(dae: Dae, laws: SX) -> bool:

@@ -82,7 +82,7 @@ class PeriodMap:
                 continue
             samples = of_samples(self.dae, i, self.values)
             for time in samples.within(self.begin, end, at_begin=self.samples_first):
-                same = (t for t in times if abs(t - time) <= 1e-9 * samples.period)
+                same = (t for t in times if abs(t - time) <= samples.near(t, time))
                 times.setdefault(next(same, time), set()).add(i)
         return [(time, frozenset(times[time])) for time in sorted(times)]
 

@@ -34,6 +34,12 @@ class Folder:
         """Return the names of the arrays and groups."""
         return {entry.name for entry in self.path.iterdir() if entry.is_dir()}
 
+    def can_hold(self, name: str) -> bool:
+        """Tell whether an array of this name has a folder of its own, where case may not count."""
+        if "/" in name or name in ("", ".", "..", MANIFEST):
+            return False
+        return name in self.names() or not (self.path / name).exists()
+
     def set_attributes(self, attributes: Mapping[str, Any]) -> None:
         """Set attributes of the whole store."""
         self._group.attrs.update(attributes)
@@ -135,11 +141,6 @@ class Folder:
         if not place.is_file() or place.read_bytes() != content:
             place.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(place, content)
-
-
-def can_name_array(name: str) -> bool:
-    """Return whether a folder of this name can hold an array."""
-    return "/" not in name and name not in ("", ".", "..", MANIFEST)
 
 
 def _removed(place: Path) -> None:

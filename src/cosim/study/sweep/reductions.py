@@ -15,7 +15,7 @@ from cosim.trajectory import Trajectory
 
 REDUCTIONS = ("final", "max", "min", "mean", "rms", "first")
 WHOLE = ("trajectories", "statistics")
-_REDUCTION = re.compile(r"\s*(\w+)\s*(?:\(\s*([\w.\[\]]+)\s*(?:,\s*([-+.\deE]+)\s*)?\))?\s*")
+_REDUCTION = re.compile(r"\s*(\w+)\s*(?:\(\s*(.+?)\s*(?:,\s*([-+.\deE]+)\s*)?\))?\s*")
 
 
 @dataclass(frozen=True)

@@ -18,14 +18,7 @@ from cosim.host.optional_packages import optional_module
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.ensemble import unit_fact
 from cosim.study.sweep.block import NOT_COMPUTED, STATES, Block
-from cosim.study.sweep.folder import (
-    DIGEST_BYTES,
-    MANIFEST,
-    Folder,
-    can_name_array,
-    locked,
-    writing,
-)
+from cosim.study.sweep.folder import DIGEST_BYTES, MANIFEST, Folder, locked, writing
 from cosim.study.sweep.reductions import Keep, Moments, Statistics, merged
 from cosim.study.sweep.samples import Samples
 from cosim.text import shortened
@@ -296,10 +289,11 @@ class Store:
                 f"sweep: an output cannot be kept under the name '{name}', which another result "
                 "has; rename it, or leave it out of outputs"
             )
-        if self._files is not None and dimensions[0] != "block" and not can_name_array(name):
+        own = self._files is None or dimensions[0] == "block" or self._files.can_hold(name)
+        if not own:
             raise UsageError(
-                f"sweep: '{name}' cannot be the name of a folder, in which a store keeps each "
-                "result; rename it, leave it out, or leave out store (--store)"
+                f"sweep: '{name}' cannot be the name of a folder of its own, in which a store "
+                "keeps each result; rename it, leave it out, or leave out store (--store)"
             )
         self._variables[name] = dimensions, attributes
         shape = tuple(self._lengths[dimension] for dimension in dimensions)
