@@ -15,7 +15,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 19 };
+enum { LAYOUT_VERSION = 20 };
 
 typedef struct {
     uint64_t magic;

@@ -12,7 +12,7 @@ from cosim.text import Violation
 # format, owner, clock, length of the notes
 _HEAD = struct.Struct("<8s16s3d2q")
 _SUM = 4  # bytes of the checksum
-_FORMAT = b"session5"
+_FORMAT = b"session6"
 
 ClockFacts = tuple[float, float, float, int]
 
