@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Integers, Truths, Vector
 
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
@@ -198,6 +198,24 @@ def _first_lines(
         length /= _SHORTER
 
 
+def _slopes_at_places(path: StatePath, first: int, last: int) -> tuple[Integers, Vector]:
+    """Return some rows from a first to a last one, (m,), and the slopes there, (m, nx, nx).
+
+    Slopes are in nominal values. Rows without finite ones are left out.
+    """
+    t, sizes = path.time, path.sizes
+    rows, slopes = np.empty(0, dtype=int), np.empty(0)
+    for more in (1, _MORE):
+        wanted = t.searchsorted(np.linspace(t[first], t[last], more * _PLACES))
+        rows = np.unique(np.clip(wanted, first, last))
+        slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
+        finite = _finite(slopes)
+        rows, slopes = rows[finite], slopes[finite]
+        if not len(rows) or np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
+            break
+    return rows, slopes
+
+
 def _distinct(slopes: Vector) -> Vector:
     """Return slopes at places, (m, nx, nx), or the first ones if all are the same, as at rest."""
     return slopes[:1] if (slopes == slopes[0]).all() else slopes
@@ -264,8 +282,10 @@ def growth_along(
     rate = path.rates(t[[first]], path.states[:, [first]])
     on_line = calm[:, None] & (t <= t[last])
     line = np.where(on_line, path.states[:, [first]] + rate * (t - t[first]), path.states)
-    rests = not path.rates(t[first : last + 1], line[:, first : last + 1]).any()
-    course = None if rests else _Course.of(replace(path, states=line), first, last, calm)
+    rows = np.unique([first, (first + last) // 2, last])
+    if not path.rates(t[rows], line[:, rows]).any():
+        return None
+    course = _Course.of(replace(path, states=line), first, last, calm)
     if course is None:
         return None
     rows = np.unique([course.first, (course.first + last) // 2, last])
@@ -323,17 +343,10 @@ class _Course:
             path: Its states lie on the line.
             first, last, calm: See `growth_along`.
         """
-        t, sizes = path.time, path.sizes
-        for more in (1, _MORE):
-            wanted = t.searchsorted(np.linspace(t[first], t[last], more * _PLACES))
-            rows = np.unique(np.clip(wanted, first, last))
-            slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
-            finite = _finite(slopes)
-            if not finite[0]:
-                return None
-            rows, slopes = rows[finite], slopes[finite]
-            if np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
-                break
+        t = path.time
+        rows, slopes = _slopes_at_places(path, first, last)
+        if not len(rows) or rows[0] != first:
+            return None
         values, left = (
             np.broadcast_to(own, (len(rows), *own.shape[1:]))
             for own in np.linalg.eig(_distinct(slopes).transpose(0, 2, 1))
