@@ -85,6 +85,13 @@ def test_configuration_is_seen_whatever_the_output_interval(bars, interval):
     assert partial.status.startswith("stopped after 0.7")
 
 
+def test_configuration_late_in_time_is_reported_with_hundredths_of_a_second(bars):
+    late = {"start_time": 1e4, "stop_time": 1e4 + 1, "compiled": False}
+    lenient = cosim.solvers.Idas(suppress_algebraic=True)
+    with pytest.raises(SolverError, match=r"singular configuration at 10000\.71 s"):
+        cosim.simulate(bars, solver=lenient, **late)
+
+
 def test_run_that_ignores_validity_goes_on(bars):
     run = other_continuation(bars, on_invalid="ignore")
     assert run.complete

@@ -48,7 +48,7 @@ from cosim.host.progress import doing
 from cosim.host.signals import interruptible
 from cosim.model.times import time_grid
 from cosim.series.samples import below
-from cosim.text import one_note
+from cosim.text import moment, one_note
 from cosim.trajectory import Column, Event, Trajectory
 
 DEFAULT_ACCURACY = 1e-6  # if neither accuracy nor macro step is given
@@ -366,7 +366,7 @@ class CoSimulation:
         if notes:
             stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
-            run = replace(run, status=f"stopped after {system.time:g} s: interrupted")
+            run = replace(run, status=f"stopped after {moment(system.time, 6)} s: interrupted")
             raise Interrupted(f"{self.name}: interrupted", partial=run)
         why = ""
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):

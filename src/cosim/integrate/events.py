@@ -33,7 +33,7 @@ from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
-from cosim.text import Ending, EndKind
+from cosim.text import Ending, EndKind, moment
 
 _FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
 _LEAST_WINDOW, _LEAST_WATCHED = 31, 1000  # after an event; if the solver ends at the next one
@@ -227,7 +227,8 @@ class _Course:
                 interrupt_noticed()
                 reason = INTERRUPTED
             except InitialConditionError:
-                reason = Ending(f"no solution after the jump of an input at {self.at.t:g} s")
+                when = moment(self.at.t, 6)
+                reason = Ending(f"no solution after the jump of an input at {when} s")
             except SolverError as error:
                 reason = error.ending
         return reason

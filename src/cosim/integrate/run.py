@@ -47,7 +47,7 @@ from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.times import Times
 from cosim.model.values import Values, numbers_of, own_sizes
 from cosim.series.samples import uncontrolled
-from cosim.text import Ending, EndKind, one_note
+from cosim.text import Ending, EndKind, moment, one_note
 from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
@@ -122,7 +122,7 @@ def _evaluated(
     seen.table.setflags(write=False)  # a result need not copy it
     if seen.first_not_finite < n:
         n, name = seen.first_not_finite, _not_finite(motion, seen, prepared.places)
-        reason = reason or Ending(f"{name} is not finite at {grid[n]:g} s")
+        reason = reason or Ending(f"{name} is not finite at {moment(grid[n], 6)} s")
     found = list[Breach]()
     if watches_singularity:
         singular = first_singular_configuration(motion, seen, n)
@@ -145,7 +145,7 @@ def _evaluated(
         n, reason = coarse.position, Ending(coarse.reason, remedy=_SHORTER)
     failed = n > 0 and motion.reason not in ("", INTERRUPTED)
     if failed and projectable and seen.margins[n - 1, -1] < _NEARLY_SINGULAR:
-        near = f"a singular configuration near {grid[n - 1]:.4g} s may be the cause"
+        near = f"a singular configuration near {moment(grid[n - 1], 4)} s may be the cause"
         reason = Ending(reason, reason.kind, f"{near}: {PROJECTION}")
     return seen.table, n, reason, found
 

@@ -20,7 +20,7 @@ from cosim.integrate.outputs import Observed
 from cosim.memo import cached_per_thread
 from cosim.model.values import assign
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS
-from cosim.text import Violation, violated
+from cosim.text import Violation, moment, violated
 
 SUSPECTED = 3.0  # intervals: most that lines through the neighbors need to reach 0 from both sides
 _POINTS, _ZOOMS = 33, 8  # to the rounding of time
@@ -308,7 +308,7 @@ def first_singular_configuration(motion: Motion, seen: Observed, n: int) -> Brea
     else:
         return None
     text = (
-        f"singular configuration at {when:.4g} s ({CONSTRAINT_CONDITION} "
+        f"singular configuration at {moment(when, 4)} s ({CONSTRAINT_CONDITION} "
         f"{1 / max(nearest, 1e-16):.0e}), where the motion has several continuations"
     )
     if not dae.has_conditioned_multipliers:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
+from cosim.text import moment
 
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
@@ -68,17 +69,17 @@ class Growth(NamedTuple):
         """
         if self.rounding:
             return (
-                f"from {self.time:.6g} s on, {self.state} is at an unstable equilibrium but for "
-                f"rounding, which grows by e every {self.growth_time:.3g} s; when the motion "
+                f"from {moment(self.time, 6)} s on, {self.state} is at an unstable equilibrium but "
+                f"for rounding, which grows by e every {self.growth_time:.3g} s; when the motion "
                 "leaves it, and to which side, is chance"
             )
         own = f"absolute_tolerance {absolute * float(closer.shares):.2g}"
         if followed:
-            advice = f"ran with {own} up to {closer.until:.6g} s, so that it is followed"
+            advice = f"ran with {own} up to {moment(closer.until, 6)} s, so that it is followed"
         else:
             advice = f"it may be suppressed; give {own}"
         return (
-            f"from {self.time:.6g} s on, a deviation of {self.size:.2g} nominal values of "
+            f"from {moment(self.time, 6)} s on, a deviation of {self.size:.2g} nominal values of "
             f"{self.state} grows by e every {self.growth_time:.3g} s; {advice}"
         )
 

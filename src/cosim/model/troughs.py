@@ -15,6 +15,7 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.model.growth import Closer, StatePath
 from cosim.series.samples import ROUNDING_OF_OTHERS
+from cosim.text import moment
 
 MOST_TRIALS = 6  # of a run, each with a smaller tolerance
 _EFFECT = 100  # least error that matters, in relative tolerances
@@ -47,10 +48,10 @@ class Trough(NamedTuple):
     def note(self, closer: Closer, absolute: float, followed: bool) -> str:
         """Return what to say of a run; see `Growth.note`."""
         own = f"absolute_tolerance {absolute * closer.shares.min():.2g}"
-        what = f"{self.state} shrinks to {self.size:.2g} nominal values at {self.time:.6g} s, and "
+        what = f"{self.state} shrinks to {self.size:.2g} nominal values at {moment(self.time, 6)} s"
         if followed:
-            return f"{what}grows again; ran with {own} for it, so that its digits are controlled"
-        return f"{what}grows again with few of its digits; give {own}"
+            return f"{what}, and grows again; ran with {own}, so that its digits are controlled"
+        return f"{what}, and grows again with few of its digits; give {own}"
 
 
 def deepest_trough(

@@ -37,7 +37,7 @@ from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Growth
 from cosim.model.troughs import MOST_TRIALS, Trough
-from cosim.text import one_note
+from cosim.text import moment, one_note
 from cosim.trajectory import Event, Trajectory
 
 
@@ -205,7 +205,7 @@ def _reject_not_finite(run: MasterRun, request: FmuRequest, lost: str) -> None:
     if not finite.all():
         row = int(np.argmin(finite.all(axis=1)))
         name = request.recorded[int(np.argmin(finite[row]))].name
-        raise FmuError(f"{name} is not finite at {run.times[row]:g} s")
+        raise FmuError(f"{name} is not finite at {moment(run.times[row], 6)} s")
     if lost:
         raise FmuError(f"its state {lost} is not finite at the end of the run")
 

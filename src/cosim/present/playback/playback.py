@@ -76,7 +76,7 @@ def playback(
     poses = poses_at(drawing, values, clipped)
     placed = np.isfinite(poses.places.sum((1, 2)) + poses.rotations.sum((1, 2, 3)))
     if not placed.all():
-        note = f"at {frames[~placed][0]:g} s the places of the bodies are not finite"
+        note = f"at {moment(frames[~placed][0], 6)} s the places of the bodies are not finite"
         if times is not None or not placed.any():
             raise UsageError(f"{run.model}: {note}; draw another time")
         poses = poses_at(drawing, values, clipped[placed])

@@ -23,6 +23,7 @@ from cosim.study.linearize.local import (
     reject_no_number,
     rounding,
 )
+from cosim.text import moment
 
 POINT = "the initial state of an FMU"
 BESIDE = 1e-9  # distance of states on both sides of another one, in their sizes
@@ -62,8 +63,8 @@ def linearized_fmu(
                 event = enter_continuous_time(instance)
                 if np.isfinite(event):
                     raise FmuError(
-                        f"{path} has an event at {event:g} s, which its derivatives do not "
-                        "contain; linearize the model itself"
+                        f"{path} has an event at {moment(event, 6)} s, which its derivatives do "
+                        "not contain; linearize the model itself"
                     )
                 x, u, y, slopes = (
                     _values(instance, group) for group in (states, inputs, shown, rates)
@@ -154,9 +155,9 @@ def _reject_course(
         change = np.abs(_jacobian(instance, rates, states) - here)
         if (change > noise + SAME * np.abs(here).max(initial=0.0)).any():
             raise FmuError(
-                f"{description.modelName}: the linear system at {time:.6g} s is another one than "
-                "at the start, so that no eigenvalues tell whether the motion is stable; linearize "
-                "the model itself, which gives the multipliers of periodic motions"
+                f"{description.modelName}: the linear system at {moment(time, 6)} s is another one "
+                "than at the start, so that no eigenvalues tell whether the motion is stable; "
+                "linearize the model itself, which gives the multipliers of periodic motions"
             )
 
 
