@@ -77,6 +77,14 @@ def test_wrong_options_exit_with_their_code(words, code, expected, capsys, tmp_p
     assert expected in capsys.readouterr().err
 
 
+def test_a_page_that_computes_says_that_its_times_begin_at_0(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("cosim.cli.verbs.animate.animate", lambda *_, **__: tmp_path / "x.html")
+    words = ["animate", "crank_shaft", "--live", "--start-time", "1", "-o", "x.html"]
+    assert main(words) == 0
+    expected = "crank_shaft begins at 1 s; the times of a page that computes begin at 0"
+    assert expected in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("package", "kind"), [("meshcat", "html"), ("imageio_ffmpeg", "mp4")])
 def test_missing_extra_ends_with_5_before_the_run(package, kind, capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)

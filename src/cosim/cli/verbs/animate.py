@@ -73,9 +73,12 @@ def _live_model(args: argparse.Namespace, tables: Sequence[str]) -> Dae:
     dae = request.configured()
     if request.inputs is not None:
         dae = with_tables(dae, request.inputs)
-    if request.times.start and contains_time(dae):
-        raise UsageError(
-            f"{scene.name} begins at {request.times.start:g} s, and its equations contain time; a "
-            "page that computes begins at 0: set start_time to 0, or leave --live out"
-        )
+    if start := request.times.start:
+        begins = f"{scene.name} begins at {start:g} s"
+        if contains_time(dae):
+            raise UsageError(
+                f"{begins}, and its equations contain time; a page that computes begins at 0: set "
+                "start_time to 0, or leave --live out"
+            )
+        note(args, f"{begins}; the times of a page that computes begin at 0")
     return dae
