@@ -109,6 +109,18 @@ def test_invalid_run_is_called_so_at_the_top():
     assert "shaded: invalid from" in page
 
 
+def test_every_reason_of_invalidity_has_its_time():
+    dae = spinning(4.0, limit=2.0)
+    dae = replace(dae, limits=(*dae.limits, (3.0 - dae.x[0], "the angle is less than 3 rad")))
+    run = cosim.simulate(dae, stop_time=1.0, compiled=False)
+    page = report(
+        ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
+    )
+    head = page[: page.index("<h2 ")]
+    assert "invalid from 0.5 s: not fulfilled: the disk turns by less than 2 rad; not" in head
+    assert "not fulfilled: the angle is less than 3 rad (from 0.75 s)" in head
+
+
 @pytest.mark.slow
 def test_report_of_a_large_model_has_linear_equations():
     dae = cosim.load("bicycle")

@@ -35,7 +35,7 @@ from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import linearize
-from cosim.text import counted, html_table, moment
+from cosim.text import counted, html_table, moment, violations_in
 from cosim.trajectory import Trajectory
 
 _FEW = 20  # lines that are not folded
@@ -85,7 +85,9 @@ def _validity(run: Trajectory) -> str:
     start, reasons = run.validity
     if not reasons:
         return ""
-    why = html.escape("; ".join(reasons))
+    times = {i: moment(time) for i, time, *_ in violations_in(run.stats.get("invalid", ()))}
+    since = {i: f" (from {time} s)" for i, time in times.items() if time != moment(start)}
+    why = html.escape("; ".join(reason + since.get(i, "") for i, reason in enumerate(reasons)))
     return f'<p class="invalid">invalid from {moment(start)} s: {why}</p>'
 
 
