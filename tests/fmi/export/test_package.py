@@ -3,6 +3,7 @@
 import ast
 import io
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from helpers.small_models import decay, table
 import cosim
 from cosim.errors import ExportError, MissingTool, ParameterError, UnknownName, UsageError
 from cosim.fmi.check.check import check_fmu
-from cosim.fmi.export import c_files
+from cosim.fmi.export import build, c_files
 
 OLD = b"what was here before"
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -224,6 +225,16 @@ def test_missing_compiler_is_reported_with_a_remedy(target, cold, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.setattr("cosim.codegen.compiler.find_spec", lambda _name: None)
     with pytest.raises(MissingTool, match=r"tried .* ziglang.*pip install"):
+        cosim.export_fmu(decay(), target)
+    assert_untouched(target)
+
+
+def test_other_headers_of_fmi_are_not_taken_for_the_cached_ones(target, tmp_path, monkeypatch):
+    cosim.export_fmu(decay(), tmp_path / "cached.fmu")
+    headers = Path(shutil.copytree(build.fmi_headers(), tmp_path / "headers"))
+    (headers / "fmi2Functions.h").write_text("")
+    monkeypatch.setattr(build, "fmi_headers", lambda: headers)
+    with pytest.raises(MissingTool, match="fmi2Status"):
         cosim.export_fmu(decay(), target)
     assert_untouched(target)
 

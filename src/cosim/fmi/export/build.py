@@ -73,8 +73,10 @@ def compiled_library(
     options = target.options(library, command)
     maker = version("ziglang") if given else ""
     digest = hashlib.sha256(repr((command, maker, FLAGS, options, library)).encode())
-    for file in sorted(sources):
-        digest.update(b"\0".join((file.encode(), str(len(sources[file])).encode(), sources[file])))
+    headers = fmi_headers()
+    read = {path.name: path.read_bytes() for path in headers.glob("*.h")} | dict(sources)
+    for file in sorted(read):
+        digest.update(b"\0".join((file.encode(), str(len(read[file])).encode(), read[file])))
     entry = f"binaries/{digest.hexdigest()[:32]}"
     if known := content_of(entry):
         return known
@@ -87,7 +89,7 @@ def compiled_library(
             content = compile_library(
                 sorted(file for file in build.glob("*.c") if file.name not in parts),
                 build / library,
-                include=[fmi_headers()],
+                include=[headers],
                 options=[f"-ffile-prefix-map={build}=.", *options],
                 command=command,
                 halted=halted,
