@@ -111,6 +111,7 @@ def test_without_derivatives_the_results_have_the_same_bits(fmi, tmp_path):
         ({"solver": "rk4", "max_step": 0.1}, "max_step is for other solvers: the adaptive ones"),
         ({"solver": "rk4", "step_size": -1.0}, "step_size = -1"),
         ({"solver": "rk4", "step_size": 1e-300}, "step_size = 1e-300 s makes more than"),
+        ({"max_step": 1e-300}, "max_step = 1e-300 s is within the rounding of times up to"),
         ({"fmi": 3, "adjoint": True, "derivatives": False}, "adjoint needs derivatives"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import pytest
 
+import cosim
 from cosim.errors import ExportError
 from cosim.fmi.export.options import model_identifier
 
@@ -53,3 +54,8 @@ def test_invalid_c_name_is_rejected(name):
 def test_reserved_word_is_rejected(name):
     with pytest.raises(ExportError, match=f"'{name}' cannot name an FMU: it is a reserved word"):
         model_identifier(name)
+
+
+def test_an_empty_name_is_not_the_default(tmp_path):
+    with pytest.raises(ExportError, match="'' cannot name an FMU"):
+        cosim.export_fmu("crank_shaft", tmp_path / "x.fmu", identifier="")

@@ -131,4 +131,4 @@ class FmuOptions:
 
     def identifier_of(self, dae: Dae) -> str:
         """Return the C identifier of a model's FMU."""
-        return model_identifier(self.identifier or dae.full_name)
+        return model_identifier(dae.full_name if self.identifier is None else self.identifier)

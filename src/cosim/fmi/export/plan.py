@@ -34,6 +34,7 @@ from cosim.fmi.export.events import fmu_events
 from cosim.fmi.export.options import FmuOptions, NameStyle
 from cosim.fmi.export.variables import FmuVariable, fmu_variables, structured, with_margins
 from cosim.model.reduction import checked_outputs
+from cosim.model.times import reject_rounded
 from cosim.model.values import listed
 
 
@@ -184,6 +185,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
             f"export: step_size = {step_size:g} s makes more than {MOST_STEPS:.0e} steps in an "
             f"output interval of {interval:g} s; give a longer one"
         )
+    reject_rounded("export: max_step", options.max_step, 0.0, dae.experiment.stop_time)
     if solver in FIXED_STEPS and is_unstable(dae, solver, step_size):
         warn(
             f"{dae.full_name}: steps of {step_size:g} s are too long for {solver} at the start "
