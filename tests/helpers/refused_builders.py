@@ -32,6 +32,12 @@ def unknown_without_equation(dae, x):
     dae.eq(dae.der(x), -x)
 
 
+@refused("x: nominal -2.0 is not a positive number")
+def negative_nominal_value(dae, x):
+    dae.set_nominal("x", -2.0)
+    dae.eq(dae.der(x), -x)
+
+
 @refused("define each other in a circle")
 def circle(dae, x):
     w, v = dae.add("w"), dae.add("v")

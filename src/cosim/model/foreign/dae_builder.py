@@ -118,10 +118,8 @@ class _Builder:
             "unit": unit,
             "minimum": self.numbers(name, own.min(name))[entry],
             "maximum": self.numbers(name, own.max(name))[entry],
+            "nominal": self.numbers(name, own.nominal(name))[entry],
         }
-        nominal = self.numbers(name, own.nominal(name))[entry]
-        if nominal > 0:
-            facts["nominal"] = nominal
         if not known_unit(unit):
             facts["foreign_unit"] = True
             meaning = f"{meaning} (unit '{unit}' is unknown here: factor 1)"
