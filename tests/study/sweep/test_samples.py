@@ -106,3 +106,9 @@ def test_malformed_tables_and_designs_are_rejected(tmp_path):
         design("sobbol", 4, {"a": (0, 1)})
     with pytest.raises(ParameterError, match="no range"):
         design("random", 4, {"a": (1, 0)})
+
+
+def test_a_range_may_be_longer_than_the_largest_number():
+    found = design("random", 64, {"a": (-1e308, 1e308)}).columns["a"]
+    same = design("random", 64, {"a": (-1.0, 1.0)}).columns["a"]
+    np.testing.assert_allclose(found / 1e308, same, rtol=0, atol=1e-15)

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from math import prod
+from math import isfinite, prod
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -206,8 +206,10 @@ def _spread(name: str, spread: Any, quantiles: Vector) -> Vector:
         return np.asarray(spread.ppf(quantiles), dtype=float)
     if isinstance(spread, Sequence | np.ndarray) and len(spread) == 2:
         low, high = (number("sweep", name, end) for end in spread)
-        if low < high:
+        if low < high and isfinite(high - low):
             return low + (high - low) * quantiles
+        if low < high:
+            return low * (1 - quantiles) + high * quantiles
     raise ParameterError(
         f"sweep: {name} = {represented(spread)} is no range; give (low, high), or a distribution "
         "such as scipy.stats.norm(0, 1)"
