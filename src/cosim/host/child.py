@@ -50,8 +50,11 @@ def die_with_parent() -> None:
 
 
 def _children() -> list[int]:
-    lists = Path("/proc/self/task").glob("*/children")
-    return [int(word) for file in lists for word in file.read_text().split()]
+    found = list[int]()
+    for file in Path("/proc/self/task").glob("*/children"):
+        with suppress(OSError):  # a thread may have ended
+            found += map(int, file.read_text().split())
+    return found
 
 
 def _control(option: int, value: int) -> None:

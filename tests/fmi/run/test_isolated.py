@@ -18,6 +18,7 @@ from helpers.small_models import decay
 import cosim
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
 from cosim.fmi.run.isolated import run_apart
+from cosim.host import child
 from cosim.host.child import MOST_OUTPUT
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -183,3 +184,10 @@ def with_reference(bad, path, interval):
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("documentation/reference.csv", table + "\n")
         archive.writestr("documentation/reference.json", json.dumps(facts))
+
+
+def test_children_are_found_although_a_thread_ends_meanwhile(tmp_path, monkeypatch):
+    (tmp_path / "children").write_text("7 8 ")
+    lists = [tmp_path / "ended" / "children", tmp_path / "children"]
+    monkeypatch.setattr(Path, "glob", lambda *_: lists)
+    assert child._children() == [7, 8]
