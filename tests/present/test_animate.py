@@ -233,6 +233,7 @@ def test_movie_has_every_frame(run, tmp_path, kind):
         assert path.read_bytes()[4:8] == b"ftyp"
 
 
+@pytest.mark.quick_rows("4.0-0.01-1.0-1.0", "90.0-0.007-1.0-1.0")
 @pytest.mark.parametrize(
     ("interval", "speed", "length"), [(0.01, 1.0, 1.0), (0.01, 0.3, 3.3), (0.007, 1.0, 1.0)]
 )
