@@ -254,15 +254,15 @@ def uncontrolled(
     )
 
 
-def below(columns: Sequence[Column], values: Vector, accuracy: float) -> str:
+def below(
+    columns: Sequence[Column],
+    values: Vector,
+    accuracy: float,
+    what: str = "the accuracy is more than all values",
+) -> str:
     """Return which variables, (times, variables), an accuracy says nothing of; "" if none."""
-    found = _smaller(columns, values, accuracy)
-    if not found:
-        return ""
-    return (
-        f"the accuracy is more than all values of {shortened(found, MOST_NAMES)}, with the nominal "
-        "value 1; give nominal values"
-    )
+    found = shortened(_smaller(columns, values, accuracy), MOST_NAMES)
+    return f"{what} of {found}, with the nominal value 1; give nominal values" if found else ""
 
 
 def _smaller(columns: Sequence[Column], values: Vector, limits: ArrayLike) -> list[str]:

@@ -375,3 +375,15 @@ def test_check_stays_within_narrow_bounds(name, bounds):
     found = cosim.sensitivity(model.freeze(), with_respect_to=[name])
     assert found["x", name][-1] == pytest.approx(-np.exp(-1), rel=1e-7)
     assert found.check.scaled < 1e-6  # measured 5e-8
+
+
+@pytest.mark.parametrize("nominal", [None, 1e-12])
+def test_outputs_too_small_for_the_check_are_noted(nominal):
+    model = cosim.Model("small")
+    x, k = model.state("x", "m", 1e-10, "x"), model.parameter("k", "1/s", 1.0, "k")
+    model.derivative(x, -k * x)
+    size = {} if nominal is None else {"nominal": nominal}
+    model.output("y", "m", x / 100, "y", **size)
+    check = cosim.sensitivity(model.freeze(), outputs=["y"], with_respect_to=["k"]).check
+    note = "the bound is more than all derivatives of y (at most 4e-13), with the nominal value 1"
+    assert (note in str(check)) == (nominal is None)

@@ -9,6 +9,7 @@ import numpy as np
 from casadi_models.units import quotient_name
 from cosim.arrays import Vector
 from cosim.errors import UnknownName
+from cosim.text import one_note
 from cosim.trajectory import Column, Trajectory
 
 
@@ -24,6 +25,7 @@ class Agreement:
         time: Time of the largest difference, s.
         first, second: The derivative there, by both methods; SI.
         bound: Largest scaled difference that counts as agreement.
+        note: Outputs whose derivatives are too small for the bound.
     """
 
     method: str
@@ -34,11 +36,13 @@ class Agreement:
     first: float
     second: float
     bound: float
+    note: str = ""
 
     def __str__(self) -> str:
-        return (
+        return one_note(
             f"{self.method}: the largest difference is {self.scaled:.1e}, in d {self.output} / d "
-            f"{self.with_respect_to} at {self.time:g} s (bound {self.bound:g})"
+            f"{self.with_respect_to} at {self.time:g} s (bound {self.bound:g})",
+            self.note,
         )
 
 

@@ -35,6 +35,7 @@ from cosim.model.reduction import reduce
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.times import one_time
 from cosim.model.values import Values, assign, checked, listed, number, plain_values
+from cosim.series.samples import below
 from cosim.study.sensitivity.result import Agreement, Sensitivity
 from cosim.trajectory import Column, Trajectory
 
@@ -419,6 +420,8 @@ def _agreement(
     apart = np.abs(result.values - second) * sizes / largest
     apart = np.where(np.isnan(apart), np.inf, apart)
     apart[~rows] = 0.0
+    weights = np.abs(result.values * sizes).max(axis=2)
+    what = "the bound is more than all derivatives"
     row, i, j = (int(k) for k in np.unravel_index(int(apart.argmax()), apart.shape))
     return Agreement(
         method,
@@ -429,4 +432,5 @@ def _agreement(
         float(result.values[row, i, j]),
         float(second[row, i, j]),
         bound,
+        below(result.run.columns, weights, bound, what),
     )
