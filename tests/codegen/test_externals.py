@@ -10,6 +10,7 @@ import pytest
 from casadi import MX, SX
 
 import cosim
+from cosim.codegen.casadi_library import sources_beside
 from cosim.codegen.compiler import SUFFIX, cached_library, compile_library
 from cosim.errors import UsageError
 
@@ -144,6 +145,30 @@ def test_c_code_that_differs_from_its_library_is_rejected(generated):
     generated.write_text(generated.read_text().replace("sin(", "cos("))
     with pytest.raises(UsageError, match=r"law\.c computes something else than the library"):
         cosim.simulate(dae, compiled=True)
+
+
+NOISE = "((1e6 + arg[0][0]) - 1e6 - arg[0][0])"  # 1e-10 by rounding, with some compilers
+
+
+@pytest.mark.parametrize(
+    ("rate", "other", "same"),
+    [
+        ("1e-12", "1e-12", True),
+        ("1e-12", "2e-12", False),
+        (NOISE, "0", True),
+        (1, "1.1", False),
+    ],
+)
+def test_c_code_that_differs_in_tiny_results_is_rejected(by_hand, rate, other, same):
+    sizes = by_hand.with_name("sizes.h")
+    sizes.write_text(f"#define RATE {rate}\n")
+    function = ca.external("bare", str(compiled(by_hand)))
+    sizes.write_text(f"#define RATE {other}\n")
+    if same:
+        assert "external_bare.c" in sources_beside(function)
+        return
+    with pytest.raises(UsageError, match=r"bare\.c computes something else than the library"):
+        sources_beside(function)
 
 
 def test_c_code_that_does_not_compile_is_rejected(generated, tmp_path):
