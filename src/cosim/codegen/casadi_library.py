@@ -130,7 +130,7 @@ def _reject_other_code(name: str, function: ca.Function, path: Path, code: str) 
         with np.errstate(invalid="ignore", over="ignore"):  # infinity minus infinity
             moved = 1e3 * np.abs(both[:, 1] - both[:, 0]).max(axis=0)
         absolute = np.clip(np.nan_to_num(moved), _ROUNDING, _SAME)
-        if not np.allclose(*both[:, 0], rtol=_SAME, atol=absolute, equal_nan=True):
+        if not np.allclose(both[0, 0], both[1, 0], rtol=_SAME, atol=absolute, equal_nan=True):
             raise UsageError(
                 f"external function '{name}': {path} computes something else than the "
                 "library; compile the library again"

@@ -507,6 +507,21 @@ def test_command_rejects_a_scene_that_does_not_begin_at_0(tmp_path, capsys):
     assert "begins at 2 s, but the runs of a fit begin at 0 s; set its start_time to 0" in text
 
 
+def test_command_names_what_a_written_scene_does_not_hold(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(PUSHED)
+    (tmp_path / "force.csv").write_text("time,force\n0,1\n3,1\n")
+    run = '[run]\nstop_time = 2.0\nsolver = "erk"\n'
+    series = 'model = "own.py:build"\noutputs = ["x"]\n[inputs]\nfile = "force.csv"\n'
+    (tmp_path / "in.toml").write_text(series + run)
+    (tmp_path / "d.csv").write_text("time,x\n0,2\n1,1.4\n2,1.1\n")
+    assert main(["fit", "in.toml", "d.csv", "--free", "x", "-o", "out.toml"]) == 0
+    expected = "it holds values only; add the inputs, run of in"
+    assert expected in capsys.readouterr().err
+    assert main(["fit", "own.py:build", "d.csv", "--free", "x", "-o", "out.toml"]) == 0
+    assert "holds values only" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("speed", [np.float64(50.0), np.int64(50)])
 def test_scene_holds_start_values_of_any_type(tmp_path, speed):
     measured = cosim.simulate("crank_shaft", stop_time=1, outputs=["phi"])

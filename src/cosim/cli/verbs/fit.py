@@ -20,6 +20,7 @@ from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.model.solver import AdaptiveSolver
+from cosim.scene.scene import Scene
 from cosim.study.fit.fit import fit
 from cosim.study.fit.result import Fit
 from cosim.text import json_text
@@ -30,7 +31,8 @@ _FORMS = "A:B, A:C:B or VALUE[UNIT]"
 def run(args: argparse.Namespace) -> int:
     """Fit values, show them with their confidence, and write a scene or an FMU."""
     model: Any = args.model
-    dae, inputs, like, reference, settings = None, None, None, "", dict[str, Any]()
+    scene: Any = None
+    dae, inputs, like, settings = None, None, None, dict[str, Any]()
     ranges = [item for item in args.values if ":" in item.partition("=")[2]]
     args.values = [item for item in args.values if item not in ranges]
     if args.model.lower().endswith(".fmu"):
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         start = start_numbers(args, dae)
     else:
         scene = named_scene(args.model)
-        request, reference = with_values(args, scene.request), scene.model
+        request = with_values(args, scene.request)
         if begin := request.times.start:
             raise UsageError(
                 f"{scene.name} begins at {begin:g} s, but the runs of a fit begin at 0 s; set its "
@@ -83,8 +85,7 @@ def run(args: argparse.Namespace) -> int:
     if args.figure:
         found.plot(args.figure)
     if args.output_file:
-        _write(found, args.output_file, reference)
-        note(args, args.output_file)
+        note(args, args.output_file, *_written(found, args.output_file, scene))
     if args.json:
         print(json_text(_as_json(found), indent=1))
         return 0
@@ -95,14 +96,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(found: Fit, target: str, reference: str) -> None:
-    """Write the fitted model as a scene or an FMU."""
+def _written(found: Fit, target: str, scene: Scene) -> list[str]:
+    """Write the fitted model as a scene or an FMU; return a note on what a scene leaves out."""
     if target.lower().endswith(".toml"):
-        found.write_scene(target, reference)
-        return
+        found.write_scene(target, scene.model)
+        left = {"inputs", "run", "figures"} & {row["of the scene"] for row in scene.rows()}
+        names = ", ".join(sorted(left))
+        return [f"it holds values only; add the {names} of {scene.name}"] if left else []
     from cosim.fmi.export.package import export_fmu
 
     export_fmu(found.dae, target)
+    return []
 
 
 def _as_json(found: Fit) -> dict[str, Any]:
