@@ -189,7 +189,8 @@ class Scenery(Declaring):
         if missing:
             raise ValueError(f"a drawing needs {quoted(missing)}, which the model does not declare")
         stand_ins = ca.vertcat(SX(0, 1), *self._stand_ins.values())
-        fixed = [name for name in self._stand_ins if name in _names(parameters)]
+        known = {symbol.name() for symbol in ca.vertsplit(parameters)}
+        fixed = [name for name in self._stand_ins if name in known]
         moving = [
             *((f"body '{b.name}'", ca.vertcat(b.place, ca.vec(b.rotation)))
               for b in self._bodies.values()),
@@ -239,7 +240,3 @@ def _dense(value: Any) -> SX:
     if isinstance(value, Sequence) and not isinstance(value, str):
         value = ca.vertcat(*value)
     return ca.densify(SX(value))
-
-
-def _names(symbols: SX) -> set[str]:
-    return {symbol.name() for symbol in ca.vertsplit(symbols)}

@@ -123,7 +123,8 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     ends = ca.vertcat(dae.t + length, high, fastest)
     known, found = list[int](), list[_Span]()
     for i, value in expressions.items():
-        if ca.depends_on(value, dae.z) or not _is_short(value):
+        operations = ca.Function("f", ca.symvar(value), [value]).n_instructions()
+        if ca.depends_on(value, dae.z) or operations > _MOST_OPERATIONS:
             continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
         rows, given = ca.vertcat(value, rate), ca.vertcat(dae.t, moving, rates)
@@ -143,10 +144,6 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
 def limit_enclosures(dae: Dae, modes: int = 0) -> Enclosures:
     """Return the bounds of the margins of a model's limits; see `enclosures`."""
     return enclosures(dae, dict(enumerate(margin for margin, _ in dae.limits)), modes)
-
-
-def _is_short(value: SX) -> bool:
-    return ca.Function("f", ca.symvar(value), [value]).n_instructions() <= _MOST_OPERATIONS
 
 
 def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:

@@ -289,7 +289,9 @@ def _figure(spec: FigureSpec, runs: Sequence[Trajectory], differences: bool) -> 
     grid = figure.subplots(len(ratios), 1, squeeze=False, sharex=over_time, height_ratios=ratios)
     rows = [*grid.ravel()]
     figure.suptitle(fill(spec.title, 70), fontsize=11)
-    labels = run_labels(runs) if several else [_run_label(runs[0])]
+    solver = runs[0].stats.get("solver", "")
+    alone = f"{runs[0].model}, {solver}{_ended_early(runs[0])}"
+    labels = run_labels(runs) if several else [alone]
     mains = rows[:: 1 + differences]
     for index, axis in enumerate(mains):
         _panel(axis, spec, index, runs)
@@ -430,10 +432,6 @@ def _mark(run: Trajectory) -> str:
 
 def _displayed_nominal(column: Column) -> float:
     return float(column.shown(np.array(column.nominal), difference=True))
-
-
-def _run_label(run: Trajectory) -> str:
-    return f"{run.model}, {run.stats.get('solver', '')}{_ended_early(run)}"
 
 
 def _ended_early(run: Trajectory) -> str:

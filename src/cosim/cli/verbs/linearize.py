@@ -1,7 +1,6 @@
 """`cosim linearize MODEL|FILE.fmu`: A, B, C, D and eigenvalues, at a state or along a parameter."""
 
 import argparse
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from cosim.fmi.trust import require_trust
 from cosim.model.quantities import reject_mixed_units
 from cosim.model.solver import Goal
 from cosim.scene.scene import Scene
-from cosim.study.linearize.linearization import Linearization, Mode
+from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import EQUILIBRIUM, START, linearize
 from cosim.text import csv_text, json_text
 
@@ -57,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     for i, linear in enumerate(found):
         _show(linear, matrices=not args.output_file, first=i == 0)
         if linear.undecided:
-            note(args, f"rounding decides whether these grow: {_values(linear.undecided)}")
+            modes = (f"{mode.value:.3g} ({' '.join(mode.states)})" for mode in linear.undecided)
+            note(args, f"rounding decides whether these grow: {', '.join(modes)}")
     return 0
 
 
@@ -110,10 +110,6 @@ def _show(linear: Linearization, *, matrices: bool, first: bool) -> None:
     if matrices:
         print("\nd(row)/d(column)")
         show_table(linear.rows())
-
-
-def _values(modes: Sequence[Mode]) -> str:
-    return ", ".join(f"{mode.value:.3g} ({' '.join(mode.states)})" for mode in modes)
 
 
 def _as_json(linear: Linearization) -> dict[str, Any]:

@@ -150,7 +150,7 @@ def _library_source(dae: Dae, outputs: Sequence[str], lanes: int) -> str:
     of_limits = ("margins", "bounds", "rates")
     return "\n".join(
         (
-            _start_text(dae),
+            generated_with_sizes("start", start_function(dae)),  # for lanes_start.h
             f"#define LANES {lanes}",
             *(f"#define {name} {size}" for name, size in sizes.items()),
             solver_source("lanes_start.h"),
@@ -207,11 +207,6 @@ def _lane_bounds(dae: Dae, needed: Sequence[int]) -> _LaneBounds:
     return _LaneBounds(
         known, moving, part.of_time, [part.given[0], *given], low[::2], (low[1::2], high[1::2])
     )
-
-
-def _start_text(dae: Dae) -> str:
-    """Return the C text of the initial values of a run, for lanes_start.h."""
-    return generated_with_sizes("start", start_function(dae))
 
 
 @cache

@@ -421,7 +421,6 @@ def _agreement(
     apart = np.where(np.isnan(apart), np.inf, apart)
     apart[~rows] = 0.0
     weights = np.abs(result.values * sizes).max(axis=2)
-    what = "the bound is more than all derivatives"
     row, i, j = (int(k) for k in np.unravel_index(int(apart.argmax()), apart.shape))
     return Agreement(
         method,
@@ -432,5 +431,5 @@ def _agreement(
         float(result.values[row, i, j]),
         float(second[row, i, j]),
         bound,
-        below(result.run.columns, weights, bound, what),
+        below(result.run.columns, weights, bound, "the bound is more than all derivatives"),
     )
