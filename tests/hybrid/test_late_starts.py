@@ -4,6 +4,7 @@ x' = 1 is reset at a period. Rows and resets are at the same times, at others, o
 time; the oracle counts with fractions.
 """
 
+import math
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -171,6 +172,21 @@ def test_what_slowly_leaves_its_boundary_does_so_at_once(power, start):
     model.derivative(y, ca.if_else(chain[0] > 0, 1.0, 0.0))
     run = cosim.simulate(model.freeze(), start_time=start, stop_time=start + 2, solver="dop853")
     assert run.final["y"] == pytest.approx(2, abs=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("power", [3, 4])
+def test_what_slowly_leaves_its_boundary_does_so_on_any_time_scale(power, unit):
+    """x = (t / unit)^power, on scales on which derivatives by seconds are tiny."""
+    model = cosim.Model("departing", stop_time=4 * unit, output_interval=unit)
+    chain = [model.state(f"x{i}", "1", 0.0, "way") for i in range(power)]
+    y = model.state("y", "s", 0.0, "time at the boundary")
+    highest = math.factorial(power) / unit**power + 0 * y
+    for this, following in zip(chain, [*chain[1:], highest], strict=True):
+        model.derivative(this, following)
+    model.derivative(y, ca.if_else(chain[0] <= 0, 1.0, 0.0))
+    for solver in ("dop853", "cvodes"):
+        assert cosim.simulate(model.freeze(), solver=solver).final["y"] == 0  # before: 2e-2 units
 
 
 @pytest.mark.parametrize("start", [1e6, 1e9])
