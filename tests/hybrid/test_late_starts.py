@@ -189,6 +189,24 @@ def test_what_slowly_leaves_its_boundary_does_so_on_any_time_scale(power, unit):
         assert cosim.simulate(model.freeze(), solver=solver).final["y"] == 0  # before: 2e-2 units
 
 
+@pytest.mark.quick_rows("cvodes-1700000000.0", "rk4-100000000.0")
+@pytest.mark.parametrize("start", [0.0, 1e7, 1e8, 1.7e9])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_fast_events_of_a_late_run_keep_their_distance(solver, start):
+    """A relay turns x' = 1 and -1 at w and -w, with no end of a step between these."""
+    model = cosim.Model("relay", stop_time=1.0, output_interval=0.1)
+    x, d = model.state("x", "1", 0.0, "place"), model.discrete("d", "1", 1.0, "direction")
+    width, steps = 3e-4, {"step_size": 0.01} if solver == "rk4" else {}
+    model.derivative(x, d)
+    model.when(x >= width, {d: -1}, name="up")
+    model.when(x <= -width, {d: 1}, name="down")
+    span = {"start_time": start, "stop_time": start + 1, "solver": solver}
+    run = cosim.simulate(model.freeze(), **span, **steps)
+    distances, rounding = np.diff([e.time for e in run.events]), np.spacing(start + 1)
+    # before: 3e-6 more at 1e7 s, 5e-4 less at 1e8 s, and none at 1.7e9 s ("Zeno")
+    np.testing.assert_allclose(distances, 2 * width, rtol=1e-11, atol=4 * rounding)
+
+
 @pytest.mark.parametrize("start", [1e6, 1e9])
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk", "rosenbrock"])
 def test_rows_and_events_are_as_accurate_from_a_late_start_on(solver, start):
