@@ -22,8 +22,9 @@
 /* Errors of steps add up, and the order is high: a hundredth of the requested tolerance in each
    step costs 1.8 times the right-hand sides, and brings the error of a run near the tolerance. */
 static const double OF_TOLERANCE = 0.01;
-static const double TIGHTEST = 1e-13; /* about 500 rounding errors */
-static const double ABSOLUTE = 0.01;  /* what is allowed at 0, in nominal values */
+static const double TIGHTEST = 1e-13;                 /* about 500 rounding errors */
+static const double OF_ROUNDING = 1e-4 * DBL_EPSILON; /* of times on which laws depend */
+static const double ABSOLUTE = 0.01;                  /* what is allowed at 0, in nominal values */
 
 typedef struct {
     Instance *fmu;
@@ -332,7 +333,9 @@ bool integrate_to(Instance *self, double end) {
 #endif
     if (refresh(self, ALGEBRAICS) != OK) return false; /* the guess must be a solution */
     Stepper stepper;
-    open_stepper(&stepper, self, memory, fmax(OF_TOLERANCE * state->tolerance, TIGHTEST));
+    const double rounding = resting && !LAWS_OF_TIME ? 0 : OF_ROUNDING * fabs(end) / LARGEST_STEP;
+    const double least = fmax(TIGHTEST, rounding);
+    open_stepper(&stepper, self, memory, fmax(OF_TOLERANCE * state->tolerance, least));
     if (!goes_on && !begin_motion(&stepper, ahead)) {
         memset(memory, 0, sizeof *memory);
         return false;

@@ -28,6 +28,7 @@
 #if !defined BOUNDED_LIMITS
 #define BOUNDED_LIMITS 0 /* whose margins have bounds */
 #define LIMITS_OF_TIME 0 /* whether these depend on time */
+#define LAWS_OF_TIME 0   /* whether the equations do */
 #endif
 #if !defined FIXED_STEPS
 #define FIXED_STEPS 0 /* stages of a solver whose steps have a fixed size */

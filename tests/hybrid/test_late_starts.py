@@ -4,6 +4,7 @@ x' = 1 is reset at a period. Rows and resets are at the same times, at others, o
 time; the oracle counts with fractions.
 """
 
+import math
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -173,6 +174,39 @@ def test_what_slowly_leaves_its_boundary_does_so_at_once(power, start):
     assert run.final["y"] == pytest.approx(2, abs=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("power", [3, 4])
+def test_what_slowly_leaves_its_boundary_does_so_on_any_time_scale(power, unit):
+    """x = (t / unit)^power, on scales on which derivatives by seconds are tiny."""
+    model = cosim.Model("departing", stop_time=4 * unit, output_interval=unit)
+    chain = [model.state(f"x{i}", "1", 0.0, "way") for i in range(power)]
+    y = model.state("y", "s", 0.0, "time at the boundary")
+    highest = math.factorial(power) / unit**power + 0 * y
+    for this, following in zip(chain, [*chain[1:], highest], strict=True):
+        model.derivative(this, following)
+    model.derivative(y, ca.if_else(chain[0] <= 0, 1.0, 0.0))
+    for solver in ("dop853", "cvodes"):
+        assert cosim.simulate(model.freeze(), solver=solver).final["y"] == 0  # before: 2e-2 units
+
+
+@pytest.mark.quick_rows("cvodes-1700000000.0", "rk4-100000000.0")
+@pytest.mark.parametrize("start", [0.0, 1e7, 1e8, 1.7e9])
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])
+def test_fast_events_of_a_late_run_keep_their_distance(solver, start):
+    """A relay turns x' = 1 and -1 at w and -w, with no end of a step between these."""
+    model = cosim.Model("relay", stop_time=1.0, output_interval=0.1)
+    x, d = model.state("x", "1", 0.0, "place"), model.discrete("d", "1", 1.0, "direction")
+    width, steps = 3e-4, {"step_size": 0.01} if solver == "rk4" else {}
+    model.derivative(x, d)
+    model.when(x >= width, {d: -1}, name="up")
+    model.when(x <= -width, {d: 1}, name="down")
+    span = {"start_time": start, "stop_time": start + 1, "solver": solver}
+    run = cosim.simulate(model.freeze(), **span, **steps)
+    distances, rounding = np.diff([e.time for e in run.events]), np.spacing(start + 1)
+    # before: 3e-6 more at 1e7 s, 5e-4 less at 1e8 s, and none at 1.7e9 s ("Zeno")
+    np.testing.assert_allclose(distances, 2 * width, rtol=1e-11, atol=4 * rounding)
+
+
 @pytest.mark.parametrize("start", [1e6, 1e9])
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "erk", "rosenbrock"])
 def test_rows_and_events_are_as_accurate_from_a_late_start_on(solver, start):
@@ -186,6 +220,29 @@ def test_rows_and_events_are_as_accurate_from_a_late_start_on(solver, start):
     run = cosim.simulate(model.freeze(), solver=solver, **span)
     assert np.abs(run["x"] - np.sin(run.time - start)).max() < 1e-8  # measured 3e-9, cvodes
     assert [e.time - start for e in run.events] == pytest.approx([np.pi / 6], abs=1e-15 * start)
+
+
+@pytest.mark.parametrize("start", [1e8, 1e9])
+@pytest.mark.parametrize("driven_by", ["input", "time"])
+def test_what_drives_a_late_fmu_is_as_accurate_as_its_times(driven_by, start, tmp_path):
+    """x'' = sin(5 t) - x; no tolerance asks for more digits than times have."""
+    model = cosim.Model("driven", stop_time=3.0, output_interval=0.1)
+    x, v = model.state("x", "1", 0.0, "angle"), model.state("v", "1/s", 1.0, "rate")
+    force, begin = model.input("u", "1", 0.0, "force"), model.parameter("begin", "s", 0.0, "time")
+    model.derivative(x, v)
+    model.derivative(v, (force if driven_by == "input" else ca.sin(5 * (model.t - begin))) - x)
+    dae, rows = model.freeze(), np.linspace(0, 3, 31)
+
+    def options(begin, tolerance):
+        series = cosim.InputSeries(("u",), begin + rows, np.sin(5 * rows)[:, None])
+        span = {"start_time": begin, "stop_time": begin + 3, "start_values": {"begin": begin}}
+        return {"inputs": series, "relative_tolerance": tolerance, **span}
+
+    fmu = cosim.export_fmu(dae, tmp_path / "driven.fmu", solver="dop853")
+    right = cosim.simulate(dae, solver="dop853", **options(0, 1e-12))
+    run = cosim.simulate_fmu(fmu, interface="CoSimulation", **options(start, 1e-10))
+    difference = abs(run["x"][-1] - right["x"][-1])  # before: "a singularity, or more steps than"
+    assert difference < np.spacing(start)  # measured 0.1 to 0.7 roundings
 
 
 @pytest.mark.parametrize(("start", "period"), [(1e6, 1e-9), (1e9, 1e-6)])

@@ -6,13 +6,14 @@
 
 #include "sliding.h"
 
-static const double FARTHEST = 1e-1; /* look, relative to 1 s or a shorter run, ... */
+static const double FARTHEST = 1e-1; /* look, relative to the run; to 1 s, or a shorter run, ... */
 static const double NEAREST = 1e-9;  /* ... and the first one, but for the rounding of time, ... */
 static const double NEAR_ENOUGH = 1e-3; /* ... which leaves it so near beside the farthest one */
 enum { FURTHER = 4 };                   /* how many times as far the next one is */
 /* Growth from a look to the next, between those of the first and the fourth power of time, which
- * the method follows; the growth of rounding in an unstable motion does not stay the same. */
-static const double LEAST_GROWTH = 3, MOST_GROWTH = 512, SAME_GROWTH = 1.4;
+ * the method follows; the growth of rounding in an unstable motion does not stay the same. That of
+ * a look too far for a fast motion becomes the fourth power. */
+static const double LEAST_GROWTH = 3, MOST_GROWTH = 512, MOST_GROWTH_FAR = 96, SAME_GROWTH = 1.4;
 
 /* A point with values of its own. */
 typedef struct {
@@ -46,11 +47,10 @@ static inline bool look_after(const Laws *laws, const Switching *s, const Point 
 }
 
 /* Whether a second derivative grows as that of an argument that leaves its boundary. */
-static inline bool grows_steadily(double a, double b, double c, double tiny) {
+static inline bool grows_steadily(double a, double b, double c, double tiny, double most) {
     const double first = b / a, second = c / b;
-    return fabs(a) > tiny && first >= LEAST_GROWTH && first <= MOST_GROWTH &&
-           second >= LEAST_GROWTH && second <= MOST_GROWTH && second <= SAME_GROWTH * first &&
-           first <= SAME_GROWTH * second;
+    return fabs(a) > tiny && first >= LEAST_GROWTH && first <= most && second >= LEAST_GROWTH &&
+           second <= most && second <= SAME_GROWTH * first && first <= SAME_GROWTH * second;
 }
 
 /* What rounding makes of time derivatives of an argument. */
@@ -74,11 +74,20 @@ static inline bool decays(const Laws *laws, const Switching *s, const Point *fro
            !(fabs(later.rates[i]) > fabs(rate) && later.rates[i] * second > 0);
 }
 
+/* Whether arguments still seem to rest a time after a point. */
+static inline bool rests_after(const Laws *laws, const Switching *s, const Point *from,
+                               const Seen *seen, double h, const bool which[]) {
+    Seen later;
+    bool rest = look_after(laws, s, from, seen, h, &later);
+    for (int i = 0; i < MODES; i++) rest = rest && !(which[i] && !seems_to_rest(s, &later, i));
+    return rest;
+}
+
 /* Tells in `departs` on which side the solution leaves boundaries at which arguments seem to rest;
  * `zero`: which ones are at their boundary. */
 static inline void look_ahead(const Laws *laws, const Switching *s, const Point *from,
                               const bool zero[], Seen *seen) {
-    const double scale = s->span > 0 ? fmin(1, s->span) : 1, last = FARTHEST * scale;
+    const double span = s->span > 0 ? s->span : 1, scale = fmin(1, span), last = FARTHEST * scale;
     bool open[MODES + 1] = {false}, any = false;
     Seen looks[3];
     memset(seen->departs, 0, sizeof seen->departs);
@@ -92,21 +101,21 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
         any |= open[i];
     }
     if (!any) return;
-    if (look_after(laws, s, from, seen, last, &looks[0])) { /* most of what rests goes on to */
-        any = false;
-        for (int i = 0; i < MODES; i++) any |= open[i] && !seems_to_rest(s, &looks[0], i);
-    }
+    const bool near_rest = rests_after(laws, s, from, seen, last, open);
+    /* most of what rests goes on to */
+    any = !near_rest || (span > 1 && !rests_after(laws, s, from, seen, FARTHEST * span, open));
     int known = 0;
     const double rounded = fmin(SAME_TIME * fabs(from->t), NEAR_ENOUGH * last);
-    for (double h = fmax(NEAREST * scale, rounded); any && h <= last; h *= FURTHER) {
+    for (double h = fmax(NEAREST * scale, rounded); any && h <= FARTHEST * span; h *= FURTHER) {
         looks[0] = looks[1];
         looks[1] = looks[2];
         if (!look_after(laws, s, from, seen, h, &looks[2])) return;
         if (++known < 3) continue;
         for (int i = 0; i < MODES; i++) {
             const double a = looks[0].seconds[i], b = looks[1].seconds[i];
-            const double tiny = rounding_of_rate(s, seen, i);
-            if (!open[i] || !grows_steadily(a, b, looks[2].seconds[i], tiny)) continue;
+            const double tiny = rounding_of_rate(s, seen, i) / fmax(1, h / (FURTHER * FURTHER));
+            const double most = h <= last ? MOST_GROWTH : MOST_GROWTH_FAR;
+            if (!open[i] || !grows_steadily(a, b, looks[2].seconds[i], tiny, most)) continue;
             seen->departs[i] = a > 0 ? INFINITY : -INFINITY;
             open[i] = false;
         }

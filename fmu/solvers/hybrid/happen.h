@@ -11,7 +11,7 @@
 static const double TINY = 1e-280;    /* s; a time that is not 0 if it is divided by a period; ...
                                          ... below, a new value is 0, as a mode of what slides is */
 static const double CLOSE = 1e-10;    /* distance of events, relative to 1 s or the run, or ... */
-static const double FEW_ULPS = 4096;  /* ... roundings of the time, of which ... */
+static const double FEW_ULPS = 64;    /* ... roundings of the time, of which ... */
 enum { MOST_CLOSE = 10 };             /* ... so many in succession are no motion, as are ... */
 static const double NO_WAY = 100;     /* ... those between which arguments move so many roundings */
 static const double VIOLATION = 1e-6; /* of a constraint, that an assignment may leave ... */
@@ -139,7 +139,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     if (!look_or_release(laws, s, at, zero, &seen)) return -1;
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
-    const double late = laws->blind ? SAME_TIME : located(s); /* as importers come to an event */
+    const double late = laws->blind ? SAME_TIME : located(s, t); /* as importers come to an event */
     double wait = 0; /* until all that only rounding keeps within its mode is beyond rounding */
     for (int i = 0; i < MODES; i++)
         if (is_passing(s, t, i, inside[i], rates[i])) wait = fmax(wait, inside[i] / -rates[i]);

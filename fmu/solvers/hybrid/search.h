@@ -131,7 +131,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         left = place.inside[i] - slack;
         rises = place.rates[i] > 0;
         const double most = slack + rounding_of_time(&place, i);
-        ahead = fmax(most, slack + located(s) * time_scale(s, t) * speed);
+        ahead = fmax(most, slack + located(s, t) * time_scale(s, t) * speed);
         const double longest = fmin(t - begin, SAME_TIME * fabs(t));
         crossing->since = place.rates[i] < 0 ? t - fmin(ahead / speed, longest) : t;
         crossing->time = better_time(&bounds, t, left, place.rates[i]);

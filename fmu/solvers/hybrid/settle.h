@@ -97,7 +97,7 @@ static inline bool is_passing(const Switching *s, double t, int i, double inside
     const double way = -rate * time_scale(s, t), slack = s->slack[i];
     const bool slow = !(slack <= SAME_TIME * way), moves = !slow || -rate > s->faint[i];
     const double noise = slow ? s->least[i] : slack;
-    return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s) * way &&
+    return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s, t) * way &&
            noise <= SAME_TIME * way && way < INFINITY;
 }
 
@@ -284,6 +284,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
             return ending(NO_VALUE, -1);
         if (changed) continue;
         note_zeros(laws, s, &seen, zero);
+        note_inside(laws, s, modes_of(at), seen.arguments);
         return GOING_ON;
     }
     int last = 0;

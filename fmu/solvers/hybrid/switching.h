@@ -46,6 +46,7 @@ _Static_assert(sizeof(Switching) == SWITCHING_SIZE * sizeof(double), "all of it 
 
 static const double ROUNDING = 64 * DBL_EPSILON; /* relative size of a number that is 0 */
 static const double SAME_TIME = 1e-9; /* relative distance of times that importers take as one */
+static const double SHARE_OF_WAIT = 1e-3; /* for an event that may be rounding of its time */
 
 /* What differences of times are measured by: 1 s, a shorter run, or the time itself. */
 static inline double time_scale(const Switching *s, double t) {
@@ -62,9 +63,11 @@ static inline void note_steps(Switching *s, double t, double roundings) {
     s->rounded += roundings * fmin(1, time_scale(s, t - s->start) / time_scale(s, t));
 }
 
-/* Relative distance of times that may be one, as rounding of events adds up. */
-static inline double located(const Switching *s) {
-    return fmin(LOCATED + s->rounded * DBL_EPSILON, SAME_TIME);
+/* Relative distance of times that may be one, as rounding of events adds up: no more than a small
+ * share of the time between two of them. */
+static inline double located(const Switching *s, double t) {
+    const double between = SHARE_OF_WAIT * (t - s->last) / time_scale(s, t);
+    return fmin(LOCATED + fmin(s->rounded * DBL_EPSILON, fmax(between, 0)), SAME_TIME);
 }
 
 static inline double ulp(double t) {

@@ -43,6 +43,7 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
 #define N_LIMITS {len(dae.limits)}
 #define BOUNDED_LIMITS {len(plan.bounds.relations)}
 #define LIMITS_OF_TIME {int(plan.bounds.of_time)}
+#define LAWS_OF_TIME {int(ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t))}
 #define HAS_VALID {int(options.valid)}
 #define DEFAULT_TOLERANCE {options.tolerance!r}
 #define HAS_RANK {int(plan.detects_singularity)}
