@@ -147,7 +147,9 @@ class CoSimulation:
                 run, ranges = self._accurate(task), None
             else:
                 run, _, ranges = given(step, merges)
-                part = sliding_part(ranges, lambda share: given(share * step, True)[2])
+                logs = {name: str(self.parts[name].instance.log_texts) for name in self._sticking}
+                part = next((name for name, log in logs.items() if STICKS in log), None)
+                part = part or sliding_part(ranges, lambda share: given(share * step, True)[2])
             slides = sliding(self.wiring, part) if part else None
             if part and merges:
                 raise EndlessEvents(f"{self.name}: {slides}", run, part)
@@ -330,10 +332,8 @@ class CoSimulation:
             why = f"{lost} at the end of the run"
             run = replace(run, status=f"stopped: {why}")
             raise SolverError(f"{self.name}: {why}", partial=run)
-        stuck = (n for n in self._sticking if STICKS in str(self.parts[n].instance.log_texts))
-        seen = next(stuck, None), repeats(self.wiring, settings.macro_step or 0.0)
         reached = system.lowest, system.highest, system.sizes, float(system.c.mismatch)
-        ranges = Ranges(*reached, *seen)
+        ranges = Ranges(*reached, repeats(self.wiring, settings.macro_step or 0.0))
         return run, system.jumps, ranges
 
     def _result(

@@ -27,7 +27,6 @@ class Ranges:
         lowest, highest: In its first half, and in all of it, (2, inputs).
         sizes: Nominal values of the inputs, (inputs,).
         mismatch: Largest difference of inputs and outputs, in the sizes of the inputs.
-        stuck: A part of which a relation has stayed at 0 by what other parts do.
         repeats: How many events follow one of the same relation within a few macro steps, by part
             and relation.
     """
@@ -36,7 +35,6 @@ class Ranges:
     highest: Vector
     sizes: Vector
     mismatch: float
-    stuck: str | None = None
     repeats: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     @property
@@ -75,15 +73,14 @@ class Ranges:
 
 
 def sliding_part(given: Ranges, again: Callable[[float], Ranges]) -> str | None:
-    """Return a part of which a relation stays at 0, or switches as often as macro steps allow.
+    """Return a part of which a relation switches as often as macro steps allow.
 
     Args:
         given: With the given macro step.
         again: Simulates with so many times that step.
     """
-    quiet = given.are_quiet and max(given.repeats.values(), default=0) < _SEVERAL - 1
-    if given.stuck or quiet:
-        return given.stuck
+    if given.are_quiet and max(given.repeats.values(), default=0) < _SEVERAL - 1:
+        return None
     try:
         found = again(1 / 2).repeats
     except EndlessEvents as error:
