@@ -16,6 +16,7 @@ enum { MOST_FORCED = 1000 };
 static const double SAFE = 0.8, SHORTER = 0.2;      /* of macro steps */
 static const double SHORTEST = 1e-9, LONGEST = 0.1; /* macro steps, of the span */
 static const double AFTER_START = 5; /* times the one before, where no prediction is needed */
+static const double CRAWLS = 1e-10;  /* length of steps between events, of the given one */
 static const double MOST_BY_RATE = 4.0 / 27; /* of s (1 - s)^2, which a rate adds to a cubic */
 static const double OF_PARTS = 0.01; /* tolerance of the parts' solvers, of the coupling's */
 
@@ -180,6 +181,7 @@ static inline int given_step(Coupling *self, double *error) {
 
 static inline int run_fixed(Coupling *self) {
     System *system = self->system;
+    long long crawled = 0, switching = -1; /* steps in succession; the part whose events end them */
     while (!is_at_goal(self)) {
         if (halted) return INTERRUPTED;
         double end = system->start + (double)(self->given_steps + 1) * system->macro_step;
@@ -192,10 +194,14 @@ static inline int run_fixed(Coupling *self) {
         if (how == BROKEN) return (int)system->how;
         if (how == REJECTED) return self->reason;
         if (how == EVENT_WITHIN) {
+            switching = system->part;
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;
             continue;
         }
+        const int crawls = self->next.t - self->now.t < CRAWLS * system->macro_step;
+        crawled = crawls ? crawled + 1 : 0;
+        if (crawled > MOST_UPDATES) return give_up(self, switching), STUCK;
         system->jumps += largest(system->inputs, self->jumps, NULL) > 0;
         const double given = largest(system->inputs, self->found, self->w);
         system->mismatch = fmax(system->mismatch, fmax(self->mismatch, given));

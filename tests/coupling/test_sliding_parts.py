@@ -131,3 +131,67 @@ def test_sliding_on_a_part_of_unknown_equations_names_it(settings, tmp_path):
     parts["b"] = str(cosim.export_fmu(parts["b"], tmp_path / "slow.fmu"))
     with pytest.raises(SolverError, match=r"slide .*couple them as models: .* of b are not known"):
         cosim.couple(parts, wires).simulate(stop_time=1.0, output_interval=0.01, **settings)
+
+
+def pair(start=0.0, inertia=0.5, friction=30.0):
+    """A driven wheel and one that feels dry friction on it."""
+    slow = cosim.Model("slow", stop_time=1.0)
+    w, u = slow.state("w", "rad/s", start, "speed"), slow.input("u", "rad/s", 0.0, "speed")
+    torque = friction * ca.sign(u - w)
+    slow.derivative(w, torque / inertia)
+    slow.output("R", "N.m", -torque, "reaction")
+    return slow.freeze(), {"a.T": "b.R", "b.u": "a.w"}
+
+
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel", "extrapolated", "iterated"])
+@pytest.mark.parametrize("step", [0.05, 0.002])
+@pytest.mark.parametrize("start", [100.0, 92.5, 0.0])
+def test_every_method_follows_parts_that_slide(start, step, method):
+    """Jacobi was off by 11 rad/s with any step; the event of 92.5 rad/s is on the grid."""
+    slow, wires = pair()
+    parts = {"a": wheel("fast", 0.2, 5.0, start), "b": slow}
+    run = cosim.couple(parts, wires).simulate(macro_step=step, output_interval=0.05, method=method)
+    since = start / 185
+    slides = run.time > since
+    together = 60 * since + 5 / 0.7 * (run.time - since)
+    fast = np.where(slides, together, start - 125 * run.time)
+    np.testing.assert_allclose(run["a.w"], fast, rtol=0, atol=1e-9)  # measured 1e-13
+    slow = np.where(slides, together, 60 * run.time)
+    np.testing.assert_allclose(run["b.w"], slow, rtol=0, atol=1e-9)
+    assert "a and b slide on each other" in run.stats["note"]
+
+
+def test_events_that_come_ever_faster_end_the_given_steps():
+    """It took macro steps of 6e-15 s before, without end."""
+    slow, wires = pair(start=10.0)
+    parts = {"a": wheel("fast", 0.10846866813927664, 5.0, 10.0), "b": slow}
+    run = cosim.couple(parts, wires).simulate(macro_step=0.002, output_interval=0.01)
+    right = 10 + 5 / (0.5 + 0.10846866813927664) * run.time
+    np.testing.assert_allclose(run["a.w"], right, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["jacobi", "gauss_seidel"])
+def test_a_run_says_that_a_part_of_unknown_equations_slides(method, tmp_path):
+    slow, wires = pair()
+    parts = {
+        "a": wheel("fast", 0.2, 5.0, 100.0),
+        "b": str(cosim.export_fmu(slow, tmp_path / "b.fmu", fmi=3)),
+    }
+    run = cosim.couple(parts, wires).simulate(macro_step=0.01, method=method)
+    assert "a relation of part 'b' slides along 0" in run.stats["note"]
+    assert "couple them as models: the equations of b are not known" in run.stats["note"]
+
+
+@pytest.mark.parametrize("method", ["jacobi", "iterated"])
+@pytest.mark.parametrize("law", [lambda u: ca.floor(50 * u), lambda u: ca.sign(ca.sin(200 * u))])
+def test_events_of_the_motion_are_no_sliding(law, method):
+    """A quantizer and an encoder in a loop switch in nearly each macro step."""
+    body, link = cosim.Model("body", stop_time=1.0), cosim.Model("link", stop_time=1.0)
+    x, force = body.state("x", "m", 0.005, "position"), body.input("F", "N", 0.0, "force")
+    body.derivative(x, 1 + 0.01 * force)
+    link.output("F", "N", law(link.input("x", "m", 0.005, "position")), "force")
+    wires = {"body.F": "link.F", "link.x": "body.x"}
+    system = cosim.couple({"body": body.freeze(), "link": link.freeze()}, wires)
+    run = system.simulate(macro_step=0.01, method=method)
+    assert "slide" not in run.stats.get("note", "")
+    assert len(run.events) > 40

@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -25,18 +25,21 @@ from cosim.coupling.estimate import (
     unreached,
 )
 from cosim.coupling.failures import (
+    STICKS,
     EndlessEvents,
     as_models,
     endless_part,
     failure,
     notes_of,
+    repeats,
+    sliding,
     violations,
 )
 from cosim.coupling.open_system import OpenSystem, Rows
 from cosim.coupling.opened_part import Ability, OpenedPart
 from cosim.coupling.own_steps import own_steps
 from cosim.coupling.settings import Method, Settings
-from cosim.coupling.stability import Ranges, reject_instability
+from cosim.coupling.stability import Ranges, reject_instability, sliding_part
 from cosim.coupling.wiring import Wiring
 from cosim.errors import Interrupted, SolverError
 from cosim.fmi.run.c_structures import Ending
@@ -85,6 +88,7 @@ class CoSimulation:
         wires: What drives what.
         unused: Abilities of parts that are not used, by part.
         unknown: Parts whose equations are not known.
+        sticking: Parts with relations that may stay at 0 by what other parts do.
 
     Raises:
         FmuError: A file cannot be loaded.
@@ -97,8 +101,9 @@ class CoSimulation:
         wires: Sequence[Connection],
         unused: Mapping[str, Sequence[Ability]],
         unknown: Sequence[str] = (),
+        sticking: Sequence[str] = (),
     ) -> None:
-        self.name = name
+        self.name, self._sticking = name, sticking
         self._open = ExitStack()
         self.parts = dict[str, OpenedPart]()
         callback = ctypes.cast(coupling_library().give_inputs, ctypes.c_void_p).value or 0
@@ -132,19 +137,29 @@ class CoSimulation:
             task = _Task(settings, values, self._columns(outputs), called)
             of_parts = settings.tolerance or _TOLERANCE
 
-            def given(step: float) -> tuple[Trajectory, Truths, Ranges]:
-                own = replace(task, settings=replace(settings, macro_step=step))
-                return self._once(own, OF_A_RUN * of_parts, of_parts)
+            @cache
+            def given(step: float, merges: bool) -> tuple[Trajectory, Truths, Ranges]:
+                own = replace(settings, macro_step=step, merges=merges)
+                return self._once(replace(task, settings=own), OF_A_RUN * of_parts, of_parts)
 
-            step = settings.macro_step
-            run, _, ranges = (self._accurate(task), None, None) if step is None else given(step)
+            step, merges, part = settings.macro_step, settings.merges, None
+            if step is None:
+                run, ranges = self._accurate(task), None
+            else:
+                run, _, ranges = given(step, merges)
+                logs = {name: str(self.parts[name].instance.log_texts) for name in self._sticking}
+                part = next((name for name, log in logs.items() if STICKS in log), None)
+                part = part or sliding_part(ranges, lambda share: given(share * step, True)[2])
+            slides = sliding(self.wiring, part) if part else None
+            if part and merges:
+                raise EndlessEvents(f"{self.name}: {slides}", run, part)
             small = below(run.columns, run.values, run.stats.get("accuracy", 0.0))
-            notes = one_note(run.stats.get("note"), small)
+            notes = one_note(run.stats.get("note"), small, slides)
             stats = {**run.stats, "wall_time": perf_counter() - began}
             run = replace(run, stats=stats | ({"note": notes} if notes else {}))
             if ranges:
                 inputs = [".".join(name) for name in self.wiring.inputs]
-                reject_instability(run, ranges, inputs, lambda shorter: given(shorter)[2])
+                reject_instability(run, ranges, inputs, lambda shorter: given(shorter, merges)[2])
         return run
 
     def opened(
@@ -317,7 +332,8 @@ class CoSimulation:
             why = f"{lost} at the end of the run"
             run = replace(run, status=f"stopped: {why}")
             raise SolverError(f"{self.name}: {why}", partial=run)
-        ranges = Ranges(system.lowest, system.highest, system.sizes, float(system.c.mismatch))
+        reached = system.lowest, system.highest, system.sizes, float(system.c.mismatch)
+        ranges = Ranges(*reached, repeats(self.wiring, settings.macro_step or 0.0))
         return run, system.jumps, ranges
 
     def _result(
@@ -374,8 +390,9 @@ class CoSimulation:
             run = replace(run, status=f"stopped: {why}")
         part = endless_part(system, self.wiring, why) if why or settings.macro_step else None
         if part:
+            remedy = as_models(self.wiring)
+            why += "" if not why or remedy in why else remedy
             if not why:
-                remedy = as_models(self.wiring)
                 notes += [f"an event of part '{part}' repeats itself at one instant{remedy}"]
                 run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
             if why or settings.merges:

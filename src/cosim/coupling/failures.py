@@ -1,5 +1,6 @@
 """Why a co-simulation failed, by each ending of fmu/master/coupling.h, and notes on its run."""
 
+from collections import Counter
 from collections.abc import Iterator
 from enum import IntEnum
 from typing import Any
@@ -12,8 +13,11 @@ from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.text import Violation
 
-_ENDLESS = ("(Zeno)", "while an expression slides along 0")  # in messages of FMUs made here
+STICKS = "while an expression slides along 0"  # in messages of FMUs made here, as "(Zeno)" is
+_ENDLESS = ("(Zeno)", STICKS)
 _AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
+_SOON = 8  # macro steps between events of parts that slide on each other
+_LEVELS = ("floor", "ceil", "fmod", "remainder")  # of relations that may go on in one direction
 _DISCARD = 2
 _STATUSES = {_DISCARD: "discard", 3: "error", 4: "fatal"}
 
@@ -169,6 +173,26 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
             ):
                 return name
     return None
+
+
+def repeats(wiring: Wiring, macro_step: float) -> Counter[tuple[str, str]]:
+    """Return how many events follow one of the same relation soon, by part and relation."""
+    found = Counter[tuple[str, str]]()
+    for name, opened in wiring.parts.items():
+        last = dict[str, float]()
+        for time, event in opened.instance.logged_events:
+            if not event.startswith(_LEVELS):
+                found[name, event] += time - last.get(event, -np.inf) <= _SOON * macro_step
+                last[event] = time
+    return found
+
+
+def sliding(wiring: Wiring, part: str) -> str:
+    """Return what a run with a given macro step says of a part that slides on others."""
+    return (
+        f"a relation of part '{part}' slides along 0 by what other parts do: no macro step is "
+        f"short enough for that{as_models(wiring) or '; give accuracy'}"
+    )
 
 
 def as_models(wiring: Wiring) -> str:

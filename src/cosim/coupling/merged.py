@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection, joined
+from casadi_models.dae.relations import KEEPS
 from cosim.coupling.part import Part, part_of
 from cosim.errors import UsageError
+from cosim.integrate.modes import hybrid
 from cosim.text import Violation, one_note
 from cosim.trajectory import Trajectory
 
@@ -29,6 +32,18 @@ def sliding_parts(
     sides = {holder} | {w.output[0] for w in connections if w.input[0] == holder} & feeling
     known = all(isinstance(parts[name].subject, Dae) for name in sides)
     return tuple(sorted(sides)) if known and len(sides) > 1 else ()  # in any order the same bits
+
+
+def sticking_parts(parts: Mapping[str, Part], connections: Sequence[Connection]) -> list[str]:
+    """Return the models whose relations may stay at 0 by what parts do that can merge with them."""
+    return [
+        name
+        for name, part in parts.items()
+        if isinstance(part.subject, Dae)
+        and (model := hybrid(part.subject))
+        and any(r.at_zero != KEEPS for r in compress(model.relations, model.of_input))
+        and sliding_parts(parts, connections, name)
+    ]
 
 
 def one_model(

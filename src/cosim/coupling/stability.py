@@ -1,19 +1,22 @@
-"""Rejection of runs with a given macro step in which inputs grow by the coupling method.
+"""What a given macro step does to a run: inputs that grow, and parts that slide on each other.
 
 One run does not show it, since an unstable plant grows, too. A shorter macro step does: the growth
-by the parts stays about the same, that by the method vanishes or becomes far larger.
+by the parts stays about the same, that by the method vanishes or becomes far larger. Events of the
+motion keep their times, those of sliding parts follow each other twice as fast.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.coupling.failures import EndlessEvents
 from cosim.errors import SolverError, UsageError
 from cosim.trajectory import Trajectory
 
 _CLOSE = 0.1  # difference of runs that agree in their course, of their size
+_FASTER, _SEVERAL = 1.5, 3  # events that follow half the macro step: by this factor more; at least
 
 
 @dataclass(frozen=True)
@@ -24,12 +27,15 @@ class Ranges:
         lowest, highest: In its first half, and in all of it, (2, inputs).
         sizes: Nominal values of the inputs, (inputs,).
         mismatch: Largest difference of inputs and outputs, in the sizes of the inputs.
+        repeats: How many events follow one of the same relation within a few macro steps, by part
+            and relation.
     """
 
     lowest: Vector
     highest: Vector
     sizes: Vector
     mismatch: float
+    repeats: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     @property
     def widths(self) -> Vector:
@@ -64,6 +70,25 @@ class Ranges:
         """Return the input whose range differs most from that in the other run."""
         one, two = self.widths[1] + self.sizes, other.widths[1] + self.sizes
         return int(np.argmax(np.maximum(one, two) / np.minimum(one, two)))
+
+
+def sliding_part(given: Ranges, again: Callable[[float], Ranges]) -> str | None:
+    """Return a part of which a relation switches as often as macro steps allow.
+
+    Args:
+        given: With the given macro step.
+        again: Simulates with so many times that step.
+    """
+    if given.are_quiet and max(given.repeats.values(), default=0) < _SEVERAL - 1:
+        return None
+    try:
+        found = again(1 / 2).repeats
+    except EndlessEvents as error:
+        return error.part
+    except (SolverError, UsageError):
+        return None
+    least = ((key, max(_SEVERAL, _FASTER * given.repeats.get(key, 0))) for key in found)
+    return next((part for (part, event), n in least if found[part, event] >= n), None)
 
 
 def reject_instability(

@@ -15,7 +15,7 @@ from casadi_models.dae.coupled import Connection
 from cosim.coupling.co_simulation import CoSimulation
 from cosim.coupling.connectors import Connector, with_outputs
 from cosim.coupling.failures import EndlessEvents
-from cosim.coupling.merged import Merged, one_model, sliding_parts
+from cosim.coupling.merged import Merged, one_model, sliding_parts, sticking_parts
 from cosim.coupling.opened_part import Ability
 from cosim.coupling.part import Part, free_name, split_key, split_name, undefined_units
 from cosim.coupling.pickling import pickled, with_files
@@ -457,7 +457,8 @@ class System:
         with self.naming_files(), self._lock:
             files = self._files_to_run
             unknown = [n for n, part in self.parts.items() if isinstance(part.subject, Path)]
-            return CoSimulation(self.name, files, self.connections, self.unused, unknown)
+            sticking = sticking_parts(self.parts, self.connections)
+            return CoSimulation(self.name, files, self.connections, self.unused, unknown, sticking)
 
     def values_of_parts(self, given: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Return the start values of the system and others, checked, by part, by variable.
