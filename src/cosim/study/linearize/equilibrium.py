@@ -11,10 +11,11 @@ from cosim.arrays import Vector
 from cosim.codegen.initialization import law_of_knowns
 from cosim.errors import InitialConditionError
 from cosim.model.values import Values
+from cosim.series.samples import ROUNDING_OF_OTHERS
 from cosim.study.linearize.local import at_point, followed, influence, reject_no_number
 from cosim.study.linearize.period_map import ACCURACY, PeriodMap
 from cosim.study.linearize.spectrum import without_influence
-from cosim.text import counted
+from cosim.text import counted, with_unit
 
 MOST_NEWTON_STEPS = 60
 AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
@@ -105,11 +106,12 @@ class _Search:
                 if not moved.size or moved.max() == 0:
                     return x, f"its initial state, {_article(self.kind)}"
                 most = movable[int(moved.argmax())]
-                name, unit = dae.states[most].name, f" {dae.states[most].unit}".removesuffix(" 1")
+                state, way = dae.states[most], abs(x[most] - start[most])
+                reached = x[most] if abs(x[most]) > ROUNDING_OF_OTHERS * way else 0.0
                 steps = counted(step, "step")
                 return x, (
                     f"{_article(self.kind)}, {steps} of Newton's method from the initial "
-                    f"state ({name} = {x[most]:.6g}{unit} instead of {start[most]:.6g})"
+                    f"state ({state.name} = {with_unit(reached, state.unit)} instead of {start[most]:.6g})"
                 )
             change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
             for _ in range(30):
