@@ -111,7 +111,8 @@ class _Search:
                 steps = counted(step, "step")
                 return x, (
                     f"{_article(self.kind)}, {steps} of Newton's method from the initial "
-                    f"state ({state.name} = {with_unit(reached, state.unit)} instead of {start[most]:.6g})"
+                    f"state ({state.name} = {with_unit(reached, state.unit)} instead of "
+                    f"{start[most]:.6g})"
                 )
             change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
             for _ in range(30):
