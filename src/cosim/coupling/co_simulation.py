@@ -88,7 +88,8 @@ class CoSimulation:
         wires: What drives what.
         unused: Abilities of parts that are not used, by part.
         unknown: Parts whose equations are not known.
-        sticking: Parts with relations that may stay at 0 by what other parts do.
+        sticking: Models with relations that may stay at 0 by what other parts do: whether all of
+            these can merge.
 
     Raises:
         FmuError: A file cannot be loaded.
@@ -101,9 +102,9 @@ class CoSimulation:
         wires: Sequence[Connection],
         unused: Mapping[str, Sequence[Ability]],
         unknown: Sequence[str] = (),
-        sticking: Sequence[str] = (),
+        sticking: Mapping[str, bool] | None = None,
     ) -> None:
-        self.name, self._sticking = name, sticking
+        self.name, self._sticking = name, dict(sticking or {})
         self._open = ExitStack()
         self.parts = dict[str, OpenedPart]()
         callback = ctypes.cast(coupling_library().give_inputs, ctypes.c_void_p).value or 0
@@ -147,7 +148,8 @@ class CoSimulation:
                 run, ranges = self._accurate(task), None
             else:
                 run, _, ranges = given(step, merges)
-                logs = {name: str(self.parts[name].instance.log_texts) for name in self._sticking}
+                known = (name for name, merges in self._sticking.items() if merges)
+                logs = {name: str(self.parts[name].instance.log_texts) for name in known}
                 part = next((name for name, log in logs.items() if STICKS in log), None)
                 part = part or sliding_part(ranges, lambda share: given(share * step, True)[2])
             slides = sliding(self.wiring, part) if part else None
@@ -333,7 +335,8 @@ class CoSimulation:
             run = replace(run, status=f"stopped: {why}")
             raise SolverError(f"{self.name}: {why}", partial=run)
         reached = system.lowest, system.highest, system.sizes, float(system.c.mismatch)
-        ranges = Ranges(*reached, repeats(self.wiring, settings.macro_step or 0.0))
+        switching = {*self._sticking, *self.wiring.unknown}
+        ranges = Ranges(*reached, repeats(self.wiring, switching, settings.macro_step or 0.0))
         return run, system.jumps, ranges
 
     def _result(

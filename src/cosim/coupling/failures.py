@@ -1,7 +1,7 @@
 """Why a co-simulation failed, by each ending of fmu/master/coupling.h, and notes on its run."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from enum import IntEnum
 from typing import Any
 
@@ -175,12 +175,12 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
     return None
 
 
-def repeats(wiring: Wiring, macro_step: float) -> Counter[tuple[str, str]]:
-    """Return how many events follow one of the same relation soon, by part and relation."""
+def repeats(wiring: Wiring, parts: Collection[str], macro_step: float) -> Counter[tuple[str, str]]:
+    """Return how many events of some parts follow one of the same relation soon, by both."""
     found = Counter[tuple[str, str]]()
-    for name, opened in wiring.parts.items():
+    for name in parts:
         last = dict[str, float]()
-        for time, event in opened.instance.logged_events:
+        for time, event in wiring.parts[name].instance.logged_events:
             if not event.startswith(_LEVELS):
                 found[name, event] += time - last.get(event, -np.inf) <= _SOON * macro_step
                 last[event] = time

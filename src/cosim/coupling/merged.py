@@ -34,16 +34,18 @@ def sliding_parts(
     return tuple(sorted(sides)) if known and len(sides) > 1 else ()  # in any order the same bits
 
 
-def sticking_parts(parts: Mapping[str, Part], connections: Sequence[Connection]) -> list[str]:
-    """Return the models whose relations may stay at 0 by what parts do that can merge with them."""
-    return [
-        name
+def sticking_parts(parts: Mapping[str, Part], connections: Sequence[Connection]) -> dict[str, bool]:
+    """Return the models whose relations may stay at 0 by what other parts do.
+
+    By name: whether all these parts can merge.
+    """
+    return {
+        name: bool(sliding_parts(parts, connections, name))
         for name, part in parts.items()
         if isinstance(part.subject, Dae)
         and (model := hybrid(part.subject))
         and any(r.at_zero != KEEPS for r in compress(model.relations, model.of_input))
-        and sliding_parts(parts, connections, name)
-    ]
+    }
 
 
 def one_model(
