@@ -146,8 +146,8 @@ static void look_between(Instance *self, double insides[]) {
         all &= insides[k] >= 0;
         places[i] = k++;
     }
-    const bool proven = ENCLOSED == N_WATCHED && looks->count == 2 && stays_between_looks(self);
-    if (!all || looks->count < 2 || proven) return;
+    if (!all || looks->count < 2) return;
+    if (ENCLOSED == N_WATCHED && stays_between_looks(self)) return;
     Gap gap = {self, &looks->before, &looks->last};
     const Motion motion = {.solver = &gap, .at = within_gap};
     const double now = looks->last.time;
