@@ -110,10 +110,10 @@ def differences(runs: Runs, targets: Sequence[SensitivityTarget], at: Sequence[f
     rules = []
     for target, value in zip(targets, at, strict=True):
         step, weights = STEP * target.size, CENTRAL
-        above, below = target.variable.maximum - value, value - target.variable.minimum
-        if min(above, below) < 2 * step:  # the steps stay within the bounds, and their rounding
-            step, weights = min(step, max(above, below) / 5), ONE_SIDED
-            step = step if above >= below else -step
+        up, down = target.variable.maximum - value, value - target.variable.minimum
+        if min(up, down) < 2 * step:  # the steps stay within the bounds, and their rounding
+            step, weights = min(step, max(up, down) / 5), ONE_SIDED
+            step = step if up >= down else -step
         rules.append((step, [*weights.values()]))
         changes += [(target.variable.name, value + shift * step) for shift in weights]
     with warnings.catch_warnings():
