@@ -148,10 +148,9 @@ class CoSimulation:
                 run, ranges = self._accurate(task), None
             else:
                 run, _, ranges = given(step, merges)
-                known = (name for name, merges in self._sticking.items() if merges)
-                logs = {name: str(self.parts[name].instance.log_texts) for name in known}
-                part = next((name for name, log in logs.items() if STICKS in log), None)
-                part = part or sliding_part(ranges, lambda share: given(share * step, True)[2])
+                part = self._sticking_part() or sliding_part(
+                    ranges, lambda share: given(share * step, True)[2]
+                )
             slides = sliding(self.wiring, part) if part else None
             if part and merges:
                 raise EndlessEvents(f"{self.name}: {slides}", run, part)
@@ -163,6 +162,11 @@ class CoSimulation:
                 inputs = [".".join(name) for name in self.wiring.inputs]
                 reject_instability(run, ranges, inputs, lambda shorter: given(shorter, merges)[2])
         return run
+
+    def _sticking_part(self) -> str | None:
+        """Return a part that can merge and says that it has stayed at 0; None if none does."""
+        known = (name for name, can_merge in self._sticking.items() if can_merge)
+        return next((n for n in known if STICKS in str(self.parts[n].instance.log_texts)), None)
 
     def opened(
         self,
