@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from cosim.errors import ExportError, UsageError
+from cosim.extensions import deferred_signals
 from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import leftovers, process_mark
 
@@ -138,7 +139,8 @@ def _sibling(place: Path, mode: int = 0o600) -> Iterator[Path]:
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_RDWR, mode))
         yield temporary
     finally:
-        temporary.unlink(missing_ok=True)
+        with deferred_signals():
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -3,11 +3,13 @@
 import os
 import pathlib
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+import zipfile
 from contextlib import suppress
 from math import inf
 
@@ -16,10 +18,13 @@ import pytest
 from cosim.cli.main import main
 from cosim.errors import ParameterError
 from cosim.extensions import deferred_signals
+from cosim.files import written_atomically
 from cosim.fmi.run.isolated import run_apart
 from cosim.host.limits import MOST_WAIT
 from cosim.host.signals import TimeLimit, ended_by_signals
+from cosim.host.temporary import temporary_folder
 from cosim.study.extremes.campaign import explore, select_cases
+from cosim.verify.reference_result import MEASURED
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs signals of POSIX")
 
@@ -57,6 +62,26 @@ def test_signals_are_not_deferred_in_another_thread():
     finally:
         over.set()
         thread.join()
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "held"),
+    [
+        (shutil, "rmtree", temporary_folder),
+        (pathlib.Path, "unlink", lambda place: written_atomically(place / "x.txt")),
+    ],
+)
+def test_ctrl_c_waits_until_temporary_files_are_removed(owner, name, held, tmp_path, monkeypatch):
+    remove = getattr(owner, name)
+
+    def interrupted(*arguments, **options):
+        signal.raise_signal(signal.SIGINT)
+        return remove(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    with pytest.raises(KeyboardInterrupt), held(tmp_path):
+        raise RuntimeError
+    assert not [*tmp_path.iterdir()]
 
 
 EXTENSION = """
@@ -150,9 +175,11 @@ def test_ctrl_c_in_the_first_second_of_an_export_ends_it_in_one_word(delay, tmp_
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=20)[1]
     left = {path.name for path in tmp_path.rglob("*")} - {"temporary"}
-    if delay and left:  # it had finished
-        assert re.fullmatch(rb"x\.fmu \(\d+ kB\)\n", said)
+    if delay and left:  # the file was in its place, and is whole
+        assert re.fullmatch(rb"(x\.fmu \(\d+ kB\)\n)?(interrupted\n)?", said)
+        assert said
         assert left == {"x.fmu"}
+        assert MEASURED in zipfile.ZipFile(tmp_path / "x.fmu").namelist()
     else:
         assert (said, left) == (b"interrupted\n", set())
 

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 from cosim.errors import FmuError
+from cosim.extensions import deferred_signals
 
 _OLD = 7 * 86400  # s; older folders are removed even if a process has their number today
 PREFIX = "cosim"
@@ -33,11 +34,16 @@ def temporary_folder(parent: str | os.PathLike[str] | None = None) -> Iterator[P
     """
     place = Path(tempfile.gettempdir() if parent is None else parent)
     remove_leftovers(place)
-    # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
-    with tempfile.TemporaryDirectory(
-        prefix=f"{PREFIX}-{process_mark()}-", dir=place, ignore_cleanup_errors=True
-    ) as name:
-        yield Path(name)
+    with deferred_signals():
+        # Windows does not delete a loaded library, and fmpy keeps one loaded that failed to start
+        folder = tempfile.TemporaryDirectory(
+            prefix=f"{PREFIX}-{process_mark()}-", dir=place, ignore_cleanup_errors=True
+        )
+    try:
+        yield Path(folder.name)
+    finally:
+        with deferred_signals():
+            folder.cleanup()
 
 
 @contextmanager
