@@ -16,6 +16,7 @@ from cosim.errors import (
 )
 from cosim.model.solver import Tolerance
 from cosim.scene import find_scene, shipped_scenes
+from cosim.scene.scene import run_settings
 from cosim.scene.scene_file import read_scene
 from cosim.scene.variants import in_formulation, variant, with_solver
 
@@ -397,3 +398,8 @@ def test_figures_may_be_those_of_another_scene(write):
         read_scene(write(f'{head}"missing.toml"'))
     with pytest.raises(UsageError, match=r"write every figure as a table"):
         read_scene(write(f'{head}"scene.toml"'))
+
+
+def test_settings_of_a_scene_have_the_names_of_the_keywords(write):
+    request = read_scene(write('model = "crank_shaft"\n[run]\nmax_step = 0.1\n')).request
+    assert run_settings(request) == {"relative_tolerance": 1e-8, "max_step": 0.1}

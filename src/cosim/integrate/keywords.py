@@ -178,11 +178,10 @@ def _solver(request: RunRequest, given: dict[str, Any]) -> Solver | Tolerance | 
     if isinstance(solver, Tolerance):
         return solver
     if "solver" not in numbers and isinstance(request.solver, Solver):
-        own = {name: value for name, value in vars(request.solver).items() if name in _SOLVER}
-        before = {name: value for name, value in own.items() if value is not None}
-        return requested_solver(request.dae, request.solver.name, **(before | numbers))
+        own = {n: value for n, value in request.solver.numbers.items() if n in _SOLVER}
+        return requested_solver(request.dae, request.solver.name, **(own | numbers))
     if "step_size" not in numbers and isinstance(request.solver, Tolerance):
-        numbers = request.solver.keywords | numbers
+        numbers = request.solver.numbers | numbers
     return requested_solver(request.dae, **numbers)
 
 

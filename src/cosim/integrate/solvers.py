@@ -102,7 +102,7 @@ def requested_solver(
 def default_solver(dae: Dae, tolerance: Tolerance, *, projected: bool = False) -> Solver:
     """Return CVODES for an ODE, IDAS for a DAE, DOP853 if steps are projected."""
     kind = Dop853 if projected else Idas if dae.algebraics else Cvodes
-    return kind(**tolerance.keywords)
+    return kind(**tolerance.numbers)
 
 
 def with_largest_step(request: RunRequest) -> RunRequest:

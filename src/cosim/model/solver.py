@@ -1,7 +1,8 @@
 """`Solver`, `Tolerance`, `Goal`: integration settings, checked when they are created."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,15 @@ LEAST_RELATIVE = 100 * float(np.finfo(float).eps)  # tolerance that double preci
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class _Settings:
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Those that are given, by the keywords of `cosim.simulate`."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Tolerance(_Settings):
     """Limits of an adaptive solver's steps; alone, those of the model's default solver.
 
     Args:
@@ -51,9 +60,10 @@ class Tolerance:
             number("solver", "max_step", self.max_step, positive=True)
 
     @property
-    def keywords(self) -> dict[str, Any]:
-        """The fields by the names that an `AdaptiveSolver` has for them."""
-        return dict(zip(LIMITS, (self.relative, self.absolute, self.max_step), strict=True))
+    def numbers(self) -> dict[str, Any]:
+        """Those that are given, by the names that an `AdaptiveSolver` has for them."""
+        own = zip(LIMITS, (self.relative, self.absolute, self.max_step), strict=True)
+        return {name: value for name, value in own if value is not None}
 
     @property
     def pair(self) -> tuple[float, float]:
@@ -62,7 +72,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class Goal:
+class Goal(_Settings):
     """A target instead of a solver and its tolerance: one of the two.
 
     Args:
@@ -90,7 +100,7 @@ class Goal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solver(ABC):
+class Solver(_Settings, ABC):
     """Integration method with its settings.
 
     A new solver is a class in a file of `integrate/families`, which adds the method `engine`, and
@@ -147,7 +157,7 @@ class AdaptiveSolver(Solver):
     def __post_init__(self) -> None:
         self.tolerance  # noqa: B018  # its constructor checks
 
-    @property
+    @cached_property
     def tolerance(self) -> Tolerance:
         """Relative and absolute tolerance, and the largest step."""
         return Tolerance(self.relative_tolerance, self.absolute_tolerance, self.max_step)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from casadi_models.dae import Dae
 from cosim.errors import UsageError, naming_arguments_of
 from cosim.model.request import RunRequest
-from cosim.model.solver import Solver, Tolerance
+from cosim.model.solver import Solver
 from cosim.text import html_table, text_table
 
 WIDTH = 100  # characters per line at a prompt
@@ -112,7 +112,5 @@ def run_settings(request: RunRequest) -> dict[str, object]:
         "output_interval": times.interval,
         "solver": solver.name if isinstance(solver, Solver) else None,
     }
-    form = "{}_tolerance" if isinstance(solver, Tolerance) else "{}"
-    numbers = {} if solver is None else vars(solver)
-    found |= {form.format(name): value for name, value in numbers.items()}
+    found |= {} if solver is None else solver.numbers
     return {n: value for n, value in found.items() if value is not None and value is not False}

@@ -45,7 +45,7 @@ def with_solver(request: RunRequest, name: str) -> RunRequest:
     if tolerance is None or not issubclass(kind, AdaptiveSolver):
         step = getattr(request.solver, "step_size", None) if not kind.adaptive else None
         return replace(request, solver=requested_solver(request.dae, name, step_size=step))
-    return replace(request, solver=kind(**tolerance.keywords))
+    return replace(request, solver=kind(**tolerance.numbers))
 
 
 def in_formulation(request: RunRequest, model: str) -> RunRequest:

@@ -114,8 +114,7 @@ def simulate_many(
         blocks = event_blocks(request, values, explicit_solver(request))
         chosen = chosen if blocks is None else blocks.solver
         found = _one_by_one(request, values, chosen, blocks)
-    numbers = {name: value for name, value in vars(chosen).items() if value is not None}
-    stats = {"solver": chosen.name, **numbers, **found.stats}
+    stats = {"solver": chosen.name, **chosen.numbers, **found.stats}
     again = partial(values_at, request, values.given, lanes) if chosen.adaptive else None
     ensemble = replace(
         found,
@@ -196,7 +195,7 @@ def explicit_solver(request: RunRequest) -> Dop853 | None:
         return solver
     if not dae.algebraics and (solver is None or isinstance(solver, Tolerance)):
         kind = Dop853 if hybrid(dae) is None else NonStiffDop853
-        return kind(**(solver or Tolerance()).keywords)
+        return kind(**(solver or Tolerance()).numbers)
     return None
 
 

@@ -56,10 +56,9 @@ def run_settings(keywords: RunKeywords) -> dict[str, Any]:
     settings = {name: value for name, value in keywords.items() if value is not None}
     solver = settings.get("solver")
     if isinstance(solver, Solver):
-        numbers = {name: value for name, value in vars(solver).items() if value is not None}
-        if twice := next((name for name in numbers if name in settings), None):
+        if twice := next((name for name in solver.numbers if name in settings), None):
             raise UsageError(f"sweep: {twice} is given with {solver}; give it once")
-        settings |= {"solver": solver.name, **numbers}
+        settings |= {"solver": solver.name, **solver.numbers}
     if (times := keywords.get("output_times")) is not None:
         settings["output_times"] = Times.at(times).requested.tolist()
     return settings
