@@ -61,8 +61,7 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
 
 def variable_table(plan: Plan) -> str:
     """Return `tables.h`: variables by value reference, validity conditions, relations, events."""
-    limits = [_literal(meaning) for _, meaning in plan.dae.limits]
-    violations = [_literal(violated(meaning)) for _, meaning in plan.dae.limits]
+    limits = [meaning for _, meaning in plan.dae.limits]
     bounds = plan.bounds
     bounded, moving = (*bounds.relations, -1), (*bounds.moving, -1)
     numbers = [variable for variable in plan.variables if variable.role is not Role.VALIDITY]
@@ -75,7 +74,7 @@ static const VariableInfo variables[] = {{
 {rows}}};
 
 {_texts("limits", limits)}
-{_texts("violations", violations)}
+{_texts("violations", [violated(meaning) for meaning in limits])}
 static const int bounded_limits[] = {{{", ".join(map(str, bounded))}}};
 static const int moving_limits[] = {{{", ".join(map(str, moving))}}};
 {_event_tables(plan)}"""
@@ -101,10 +100,11 @@ def _event_tables(plan: Plan) -> str:
     sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
     moving = sampled - {*known.followed} | {*known.given}
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
-    names = [_literal(system.described(i)) for i in range(len(system.relations))]
-    rules = [_literal(event.name) for event in system.events]
-    messages = [_literal(event.message) if event.message else "NULL" for event in system.events]
-    texts = {"relation_names": names, "rule_names": rules, "rule_messages": messages}
+    texts: dict[str, Sequence[str | None]] = {
+        "relation_names": [system.described(i) for i in range(len(system.relations))],
+        "rule_names": [event.name for event in system.events],
+        "rule_messages": [event.message or None for event in system.events],
+    }
     return f"""
 {law_tables(system, plan.functions)}
 {"".join(_texts(name, own) for name, own in texts.items())}
@@ -113,8 +113,9 @@ static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
 """
 
 
-def _texts(name: str, texts: Sequence[str]) -> str:
-    lines = "".join(f"    {text},\n" for text in (*texts, "NULL"))
+def _texts(name: str, texts: Sequence[str | None]) -> str:
+    literals = ["NULL" if text is None else _literal(text) for text in (*texts, None)]
+    lines = "".join(f"    {literal},\n" for literal in literals)
     return f"static const char *const {name}[] = {{\n{lines}}};\n"
 
 
