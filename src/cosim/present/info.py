@@ -188,13 +188,11 @@ def _fmu_info(path: Path) -> Info:
         "span": f"{span.get('startTime', '0')} ... {span.get('stopTime', '?')} s",
     }
     elements = root.findall("ModelVariables/*")
-    starts = {element.get("valueReference"): element.get("start") for element in elements}
     tables: dict[str, list[dict[str, Any]]] = {}
     for variable, element in zip(described.variables, elements, strict=True):
         row = _fmu_row(variable, element.get("description", ""))
-        if sizes := element.findall("Dimension"):
-            texts = (size.get("start", starts.get(size.get("valueReference"))) for size in sizes)
-            row["dimensions"] = [int(text) if text and text.isdecimal() else None for text in texts]
+        if variable.shape:
+            row["dimensions"] = [*variable.shape]
         tables.setdefault(variable.causality, []).append(row)
     return Info({key: value for key, value in facts.items() if value}, tables)
 

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from importlib.resources import files
-from math import isclose, isfinite
+from math import isclose, isfinite, prod
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -13,7 +13,7 @@ from casadi_models.units import Unit, conversion, parse_unit
 from cosim.fmi.archive import DESCRIPTION, entry_content
 from cosim.fmi.check.finding import RULES, Finding, Rule
 from cosim.fmi.check.parsed import BUILD, Described, Description, Unknown
-from cosim.fmi.run.typed_values import REALS
+from cosim.fmi.run.typed_values import NUMERIC, REALS
 from cosim.fmi.units import BASE_UNITS
 
 _ROUNDING = 1e-5  # of factors, as people write them
@@ -22,17 +22,19 @@ _SCHEMAS = {  # of what layered standards add, the standards have their own
     BUILD: "fmi3/fmi3BuildDescription.xsd",
     "terminalsAndIcons/terminalsAndIcons.xml": "fmi3/fmi3TerminalsAndIcons.xsd",
 }
+_OF_TERMINALS = "//@variableName | //@inStreamVariableName | //@outStreamVariableName"
 
 
 def schema_findings(archive: zipfile.ZipFile, version: str) -> Iterator[Finding]:
-    """Return the violations of the FMI's schemas, at most ten for a file."""
+    """Return violations of the FMI's schemas, at most ten for a file, and unknown members."""
+    names = set[str]()  # of variables and their aliases
     own = {DESCRIPTION: f"fmi{version}/fmi{version}ModelDescription.xsd"}
     for entry, name in (own | _SCHEMAS).items():
         if entry in archive.namelist():
-            yield from _against(name, entry, entry_content(archive, entry))
+            yield from _against(name, entry, entry_content(archive, entry), names)
 
 
-def _against(schema: str, entry: str, content: bytes) -> Iterator[Finding]:
+def _against(schema: str, entry: str, content: bytes, names: set[str]) -> Iterator[Finding]:
     from lxml import etree
 
     try:
@@ -40,6 +42,10 @@ def _against(schema: str, entry: str, content: bytes) -> Iterator[Finding]:
     except etree.XMLSyntaxError as error:
         yield RULES["xml"].at(entry, f"not well-formed: {error}")
         return
+    names |= {*tree.xpath("ModelVariables/*//@name")}
+    for name in tree.xpath(_OF_TERMINALS) if names else ():
+        if name not in names:
+            yield RULES["refers"].at(entry, f"{name.getparent().tag} '{name}' is no variable")
     known = _schema(schema)
     if known.validate(tree):
         return
@@ -59,6 +65,8 @@ def structure_findings(described: Description) -> Iterator[Finding]:
     """Return the faults of value references and model structure."""
     yield from _references(described)
     variables = described.variables
+    outputs = [i for i, v in enumerate(variables) if v.causality == "output"]
+    rates = [i for i, v in enumerate(variables) if v.derivative_of is not None]
     states = {v.derivative_of for v in variables if v.derivative_of is not None}
     moving = {i for i, v in enumerate(variables) if v.causality in ("input", "independent")}
     knowns = moving | {i for i, v in enumerate(variables) if v.initial == "exact"}
@@ -67,9 +75,9 @@ def structure_findings(described: Description) -> Iterator[Finding]:
         parameters = {i for i in parameters if variables[i].variability == "tunable"}
     running = moving | states | parameters
     for name, expected, known in (
-        ("Outputs", _output_positions(described), running),
-        ("Derivatives", _derivatives(described), running),
-        ("InitialUnknowns", _initial_unknowns(described), knowns),
+        ("Outputs", outputs, running),
+        ("Derivatives", rates, running),
+        ("InitialUnknowns", _initial_unknowns(described, {*outputs, *rates, *states}), knowns),
     ):
         listed = described.sections[name]
         strict = name == "Outputs"
@@ -97,21 +105,12 @@ def _references(described: Description) -> Iterator[Finding]:
             yield RULES["references"].about(DESCRIPTION, fault)
 
 
-def _output_positions(described: Description) -> list[int]:
-    return [i for i, v in enumerate(described.variables) if v.causality == "output"]
-
-
-def _derivatives(described: Description) -> list[int]:
-    return [i for i, v in enumerate(described.variables) if v.derivative_of is not None]
-
-
-def _initial_unknowns(described: Description) -> list[int]:
+def _initial_unknowns(described: Description, members: set[int]) -> list[int]:
     """FMI 2.0.4, 2.2.8: what initialization computes of outputs, states and derivatives."""
     variables = described.variables
-    derivatives = _derivatives(described)
-    states = [place for i in derivatives if (place := variables[i].derivative_of) is not None]
-    members = {*_output_positions(described), *derivatives, *states} - {-1}
-    members |= {i for i, v in enumerate(variables) if v.causality == "calculatedParameter"}
+    members = members - {-1} | {
+        i for i, v in enumerate(variables) if v.causality == "calculatedParameter"
+    }
     clocked = {i for i in members if variables[i].kind == "Clock" or "clocks" in variables[i].texts}
     members -= clocked  # which initialization does not compute
     return [i for i in sorted(members) if variables[i].initial in ("approx", "calculated")]
@@ -143,6 +142,9 @@ def _needs(
         name = "?" if unknown.position < 0 else described.variables[unknown.position].name
         if -1 in needs:
             yield RULES["refers"], f"'{name}' depends on what does not exist"
+        if len(unknown.kinds) not in (0, len(needs)):
+            fault = f"'{name}' has {len(needs)} dependencies of {len(unknown.kinds)} kinds"
+            yield RULES["refers"], fault
         for place in sorted(set(needs) - known - {-1}):
             other = described.variables[place].name
             yield RULES["knowns"], f"'{name}' depends on '{other}', which is not a known"
@@ -171,10 +173,42 @@ def description_findings(described: Description) -> Iterator[Finding]:
     for variable in described.variables:
         for rule, fault in _variable_findings(described, variable):
             yield rule.at(f"variable '{variable.name}'", fault)
-    for name, count in Counter(v.name for v in described.variables).items():
+    aliases = (alias.get("name", "") for alias in described.root.iterfind("ModelVariables/*/Alias"))
+    for name, count in Counter([*(v.name for v in described.variables), *aliases]).items():
         if count > 1:
             yield RULES["name"].at(f"variable '{name}'", f"{count} variables have this name")
     yield from structure_findings(described)
+    yield from _reference_findings(described)
+
+
+_REFERENCES = (  # places of attributes that name variables of FMI 3.0, and the kind of these
+    ("ModelVariables/*/Dimension", "valueReference", "UInt64"),
+    ("ModelVariables/*", "clocks", "Clock"),
+    ("ModelVariables/*", "previous", "variable"),
+    ("ModelStructure/EventIndicator", "valueReference", "variable"),
+    ("ModelStructure/ClockedState", "valueReference", "variable"),
+)
+
+
+def _reference_findings(described: Description) -> Iterator[Finding]:
+    """Return names of variables and types that the file does not describe or that are others."""
+    root, rule = described.root, RULES["refers"]
+    kinds = {v.reference: v.kind for v in described.variables}
+    for path, attribute, kind in _REFERENCES:
+        for element in root.iterfind(path):
+            place = element.get("name", element.tag)
+            for text in element.get(attribute, "").split():
+                if text not in kinds or kind not in ("variable", kinds[text]):
+                    yield rule.at(place, f"{attribute} {text} is that of no {kind}")
+    declared = {t.get("name"): t for t in root.iterfind("TypeDefinitions/*")}
+    for v in (v for v in described.variables if "declaredType" in v.texts):
+        name, start = v.texts["declaredType"], v.texts.get("start")
+        found = declared.get(name, ET.Element("none"))
+        if v.kind not in {found.tag.removesuffix("Type"), *(child.tag for child in found)}:
+            yield rule.at(v.name, f"its type '{name}' is not described, or not of {v.kind}")
+        items = {item.get("value") for item in found.iter("Item")}
+        if items and start is not None and not {*start.split()} <= items:
+            yield rule.at(v.name, f"its start value {start} is no item of type '{name}'")
 
 
 def _head(described: Description) -> Iterator[Finding]:
@@ -275,18 +309,26 @@ def _variable_findings(described: Description, variable: Described) -> Iterator[
             "the start value is missing" if required else "a calculated variable has a start value"
         )
         yield RULES["start"], fault
-    if variable.kind not in REALS:
+    if not NUMERIC.fullmatch(variable.kind) or variable.kind == "Boolean":
         return
-    numbers = ("min", "max", "nominal", "start")
-    number = {k: _finite(texts[k]) for k in numbers if k in texts and " " not in texts[k].strip()}
-    for name, value in number.items():
-        if value is None:
+    attributes = [name for name in ("min", "max", "nominal", "start") if name in texts]
+    number = {name: [*map(_finite, texts[name].split())] for name in attributes}
+    for name, values in number.items():
+        if None in values:
             yield RULES["number"], f"{name} = {texts[name]} is no finite number"
-    ladder = [number[k] for k in ("min", "start", "max") if number.get(k) is not None]
-    if ladder != sorted(ladder, key=lambda value: value or 0.0):
+    low, high, nominal = (number.get(name, []) for name in ("min", "max", "nominal"))
+    ladders = [[*low, start, *high] for start in number.get("start", [])] or [[*low, *high]]
+    known = ([v for v in ladder if v is not None] for ladder in ladders)
+    for ladder in [ladder for ladder in known if ladder != sorted(ladder)][:1]:
         yield RULES["bounds"], f"min, start and max do not rise: {ladder}"
-    if number.get("nominal", 1.0) == 0:
+    if 0.0 in nominal:
         yield RULES["nominal"], "nominal is 0"
+    sizes = [size for size in variable.shape if size is not None]
+    if len(sizes) == len(variable.shape) and len(number.get("start", [0.0])) not in (
+        1,
+        prod(sizes),
+    ):
+        yield RULES["refers"], f"it has {len(number['start'])} start values, not {prod(sizes)}"
     yield from _unit_of(described, variable)
 
 

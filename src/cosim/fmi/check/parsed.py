@@ -30,6 +30,7 @@ class Described(NamedTuple):  # made faster than a dataclass: files have up to 4
         reference: The value reference.
         derivative_of: Position of the state; -1 where there is no such variable.
         texts: The attributes min, max, nominal, start, unit, displayUnit, also of its type.
+        shape: Sizes of an array, None where the file does not tell one; () for a single value.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Described(NamedTuple):  # made faster than a dataclass: files have up to 4
     reference: str
     derivative_of: int | None
     texts: Mapping[str, str]
+    shape: tuple[int | None, ...]
 
     @property
     def nominal(self) -> float:
@@ -124,6 +126,7 @@ def parse(content: bytes) -> Description:
         for t in root.findall("TypeDefinitions/*")
     }
     by_reference = {element.get("valueReference"): i for i, element in enumerate(listed)}
+    starts = {element.get("valueReference"): element.get("start") for element in listed}
 
     def position(text: str | None) -> int:
         """Find a variable by index (FMI 2) or value reference (FMI 3)."""
@@ -149,6 +152,8 @@ def parse(content: bytes) -> Description:
         texts = {**types[t], **own} if (t := own.get("declaredType")) in types else own
         if (start := facts.find("Start")) is not None:  # texts and binary values in FMI 3
             texts = {**texts, "start": start.get("value", "")}
+        sizes = element.iterfind("Dimension") if major == "3" else ()
+        counts = (d.get("start") or starts.get(d.get("valueReference")) or "" for d in sizes)
         return Described(
             element.get("name", ""),
             kind,
@@ -158,6 +163,7 @@ def parse(content: bytes) -> Description:
             element.get("valueReference", ""),
             None if state is None else position(state),
             texts,
+            tuple(int(text) if text.isdecimal() else None for text in counts),
         )
 
     tables = {

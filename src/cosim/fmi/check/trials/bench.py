@@ -90,16 +90,9 @@ class Bench:
         """Description as the checks read it."""
         return parse((self.folder / DESCRIPTION).read_bytes())
 
-    @cached_property
-    def arrays(self) -> frozenset[str]:
-        """Value references of arrays."""
-        listed = self.described.root.findall("ModelVariables/*")
-        found = (e for e in listed if e.find("Dimension") is not None)
-        return frozenset(e.get("valueReference", "") for e in found)
-
     def single(self, variable: Described) -> bool:
         """Return whether a variable is one number of double precision."""
-        return variable.kind in ("Real", "Float64") and variable.reference not in self.arrays
+        return variable.kind in ("Real", "Float64") and not variable.shape
 
     def reals(self, causality: str, variability: str = "") -> list[Described]:
         """Return the variables of one kind that are real numbers."""

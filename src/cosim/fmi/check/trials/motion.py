@@ -44,7 +44,7 @@ def motion(bench: Bench, kind: str) -> Iterator[Finding | Note]:
         return
     facts = f"it differs by {difference[worst]:.2g} from model exchange with another solver"
     rule = TRIAL_RULES["moves-otherwise"]
-    if not course.internal_step:
+    if not bench.internal_step(kind):
         finer = np.abs(course.co_simulated(2)[rows] - exact[rows]).max(axis=0)[worst]
         facts += f", with half the step by {finer:.2g}"
         euler = np.abs(course.integrated(1, euler=True)[rows] - found)[:, worst].max()
@@ -93,18 +93,13 @@ class _Course:
         offered = self.bench.offers("CoSimulation", "canInterpolateInputs")
         return not self.held and self.bench.second and offered
 
-    @property
-    def internal_step(self) -> float:
-        """Size of the FMU's own steps, s; 0 if it declares none."""
-        return self.bench.internal_step("CoSimulation")
-
     def allowed(self, exact: Vector) -> Vector:
         """Return the difference of each output that its solver's tolerance or step explains."""
         nominal = [v.nominal for v in self.outputs]
         size = np.maximum(nominal, np.abs(exact).max(axis=0))
         allowed = _SHARE * np.ptp(exact, axis=0) + 10 * self.bench.tolerance * size
-        if self.internal_step:  # explains the error of Euler's method, which many use
-            coarse = self.integrated(round(self.size / self.internal_step), euler=True)
+        if step := self.bench.internal_step("CoSimulation"):  # as of Euler's method, often
+            coarse = self.integrated(round(self.size / step), euler=True)
             allowed += 2 * np.abs(coarse - exact).max(axis=0)
         return np.asarray(allowed)
 

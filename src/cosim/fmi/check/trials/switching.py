@@ -204,7 +204,7 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     if kind != "CoSimulation" or "ModelExchange" not in bench.described.interfaces:
         raise Skipped("it compares co-simulation with model exchange")
     every = (v for v in bench.described.variables if v.causality == "output")
-    numbers = [v for v in every if NUMERIC.fullmatch(v.kind) and v.reference not in bench.arrays]
+    numbers = [v for v in every if NUMERIC.fullmatch(v.kind) and not v.shape]
     runs = _Switching(bench, numbers, monotonic() + _FOR_IT * bench.timeout)
     if not runs.outputs or not bench.states():
         raise Skipped("it has neither states nor outputs that are numbers")
