@@ -13,7 +13,7 @@ from lxml import etree
 
 import cosim
 from casadi_models.dae import Model
-from cosim.errors import ParameterError
+from cosim.errors import ParameterError, UsageError
 from cosim.fmi.export.package import zipped
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
@@ -132,6 +132,29 @@ def test_parts_whose_names_differ_in_case_or_are_no_file_names_have_files_of_the
 def test_values_that_are_none_of_the_variable_are_refused(fmu, tmp_path, value):
     with pytest.raises(ParameterError, match="write_ssp: rate = "):
         cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu}, [], values={"a.rate": value})
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "words"),
+    [
+        ({"a.force": (2.0, 0.0)}, UsageError, r"a\.force has no connections"),
+        ({"b.force": (float("nan"), 0.0)}, ParameterError, r"b\.force = nan is not finite"),
+        ({"b.force": (2.0, "1")}, ParameterError, r"b\.force = '1' is not a real number"),
+        ({"b.force": 2.0}, UsageError, r"give pairs \(FACTOR, OFFSET\)"),
+        ({"b.force": (1.0, 2.0, 3.0)}, UsageError, r"give pairs \(FACTOR, OFFSET\)"),
+    ],
+)
+def test_transformation_that_no_connection_can_have_is_refused(fmu, tmp_path, change, kind, words):
+    place, parts = tmp_path / "s.ssp", {"a": fmu, "b": fmu}
+    with pytest.raises(kind, match=f"write_ssp: .*{words}"):  # before: left out, or written
+        cosim.write_ssp(place, parts, [("a.y", "b.force")], transformations=change)
+    assert not place.exists()
+
+
+def test_input_that_is_connected_twice_is_refused(fmu, tmp_path):
+    wires = [("a.x", "b.force"), ("a.y", "b.force")]
+    with pytest.raises(UsageError, match=r"b\.force has 2 connections"):
+        cosim.write_ssp(tmp_path / "s.ssp", {"a": fmu, "b": fmu}, wires)
 
 
 def test_open_inputs_keep_their_start_values_of_every_type(tmp_path):

@@ -17,6 +17,7 @@ from cosim.fmi.run.description import unit_of
 from cosim.fmi.run.typed_values import RANGES, REALS, start_value, typed_value
 from cosim.fmi.units import definitions
 from cosim.model.values import number
+from cosim.text import counted
 from cosim.trajectory import shortest
 
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -123,7 +124,8 @@ def write_ssp(
 
     Raises:
         UnknownName: A component or a variable does not exist.
-        UsageError: A connection does not lead from an output to an input.
+        UsageError: A connection does not lead from an output to an input, or an input has several;
+            or a transformed one has none.
         ParameterError: A time is not finite, the stop time is not after the start time, or a
             variable does not have a value.
         FmuError, ExportError: A file cannot be read or written.
@@ -153,9 +155,7 @@ def write_ssp(
     for key in open_inputs:
         component, entry = _side(described, key, "input")
         given.setdefault((component, entry), start_value(described[component][1][entry]))
-    changes = {
-        _side(described, key, "input"): pair for key, pair in (transformations or {}).items()
-    }
+    changes = _changes(described, [sink for _, sink in ends], transformations or {})
     name, files = name or Path(target).stem, dict[str, bytes]()
     places = _file_names(described)
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", version="1.0", name=name)
@@ -185,8 +185,26 @@ def write_ssp(
     return write_atomically(target, zipped({SYSTEM_DESCRIPTION: to_file(root), **files, **fmus}))
 
 
+def _changes(
+    described: Mapping[str, Any],
+    sinks: Sequence[tuple[str, str]],
+    transformations: Mapping[str, tuple[float, float]],
+) -> dict[tuple[str, str], list[float]]:
+    """Return the transformations of inputs, each of which has one connection."""
+    changes = dict[tuple[str, str], list[float]]()
+    for key, pair in transformations.items():
+        if not isinstance(pair, tuple | list) or len(pair) != 2:
+            raise UsageError.of_type("write_ssp: transformations", pair, "pairs (FACTOR, OFFSET)")
+        changes[_side(described, key, "input")] = [number("write_ssp", key, one) for one in pair]
+    for sink in (*changes, *sinks):
+        if sinks.count(sink) != 1:
+            count = counted(sinks.count(sink), "connection")
+            raise UsageError(f"write_ssp: {'.'.join(sink)} has {count}; give it one")
+    return changes
+
+
 def _connection(
-    source: tuple[str, str], sink: tuple[str, str], change: tuple[float, float] | None
+    source: tuple[str, str], sink: tuple[str, str], change: Sequence[float] | None
 ) -> ET.Element:
     """Return the connection of an output with an input, with factor and offset between them."""
     begins = {"startElement": source[0], "startConnector": source[1]}
