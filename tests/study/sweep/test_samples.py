@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import cosim
+from casadi_models.dae import Model
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.study.sweep.samples import (
     Samples,
@@ -112,3 +114,16 @@ def test_a_range_may_be_longer_than_the_largest_number():
     found = design("random", 64, {"a": (-1e308, 1e308)}).columns["a"]
     same = design("random", 64, {"a": (-1.0, 1.0)}).columns["a"]
     np.testing.assert_allclose(found / 1e308, same, rtol=0, atol=1e-15)
+
+
+def test_quantities_have_names_of_their_own_among_results():
+    samples = Samples({"run": [1.0], "run_start": [2.0], "m": [3.0]})
+    names = samples.distinct_names({"run", "m"})
+    assert names == {"run": "run_start_start", "run_start": "run_start", "m": "m_start"}
+    model = Model("growth", stop_time=1.0)
+    rates = [model.parameter(name, "1", 1.0, "rate") for name in ("steps", "steps_start")]
+    model.derivative(model.state("x", "1", 0.0, "sum"), rates[0] + 10 * rates[1])
+    found = cosim.sweep(model.freeze(), {"steps": [1.0], "steps_start": [2.0]}, workers=0)
+    (row,) = found.rows()  # before: one of the two replaced the other, or it was rejected
+    assert (row["steps_start_start"], row["steps_start"]) == (1.0, 2.0)
+    assert row["x_final"] == pytest.approx(21.0, rel=1e-12)

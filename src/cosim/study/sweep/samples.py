@@ -56,7 +56,13 @@ class Samples:
 
     def distinct_names(self, taken: Collection[str]) -> dict[str, str]:
         """Return by name what each quantity is called among results that have taken some names."""
-        return {name: f"{name}_start" if name in taken else name for name in self.columns}
+        found = dict[str, str]()
+        for name in self.columns:
+            place = name
+            while place in taken or (place != name and place in self.columns):
+                place += "_start"
+            found[name] = place
+        return found
 
     @cached_property
     def digest(self) -> str:
