@@ -81,7 +81,7 @@ class OpenedPart:
         self.name, self.path = name, path
         interface = Interface.MODEL_EXCHANGE if Ability.CO_SIMULATION in unused else None
         self._fmu = fmu = OpenedFmu(path, interface)
-        self.is_own = fmu.reset_is_enough
+        self.is_own = fmu.is_own
         if self.is_own and Ability.EVENTS not in unused and _exchanges(fmu):
             fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description

@@ -13,16 +13,18 @@ from casadi_models.dae import Dae
 from cosim.coupling.files import is_system, read_system
 from cosim.coupling.settings import Method
 from cosim.coupling.system import System
-from cosim.errors import UsageError
+from cosim.errors import FmuError, UsageError
+from cosim.fmi.export.package import export_fmu
 from cosim.fmi.run.description import Interface
-from cosim.fmi.run.request import FmuRequest
+from cosim.fmi.run.opened import OpenedFmu
+from cosim.host.temporary import temporary_folder
 from cosim.integrate.ensemble.simulate_many import lane_solver
 from cosim.integrate.keywords import requested
 from cosim.integrate.solvers import with_largest_step
+from cosim.memo import cached_per_thread
 from cosim.model.values import number, whole
 from cosim.session.copies import Copies
 from cosim.session.lane_copies import LaneCopies
-from cosim.session.opened_file import OpenedFile, exported
 from cosim.session.restart import Experiment
 from cosim.session.session import Session
 from cosim.session.single_copies import SingleCopies
@@ -136,8 +138,12 @@ def open(
     ):
         if solver is not None:
             raise UsageError(f"{model}: an FMU has its own solver; leave solver out")
-        file = OpenedFile(model)
-        dae = None
+        file, dae = OpenedFmu(model), None
+        if file.interface is Interface.MODEL_EXCHANGE:
+            raise FmuError(
+                f"{file.path} is for model exchange only; the solver of a system integrates it: "
+                f"cosim.open(cosim.couple({{'part': {str(model)!r}}}, {{}}))"
+            )
     else:
         asked = requested(model, **facts)
         dae = asked.dae
@@ -145,14 +151,23 @@ def open(
         if copies is not None and lanes is not None and solver in (None, lanes.name):
             engine = LaneCopies(dae, copies, lanes.tolerance, stop_time)
             return Copies(engine, copies, start_values or {}, asked.times.span(dae)[0])
-        file = exported(dae, solver)
-    request = FmuRequest.of(file.description, Interface.CO_SIMULATION, file.name, **facts)
+        file = _exported(dae, solver)
+    request = file.request(**facts)
     stop = None if stop_time is None else request.stop
     experiment = Experiment(request.start, stop, request.tolerance)
     if copies is None:
         return Session(file, start_values or {}, experiment, dae)
     several = _several(partial(Session, file, {}, experiment, dae), copies)
     return Copies(several, copies, start_values or {}, experiment.startTime)
+
+
+@cached_per_thread(8)
+def _exported(dae: Dae, solver: str | None) -> OpenedFmu:
+    """Return the FMU of a model, which is exported once."""
+    with temporary_folder() as folder:
+        found = OpenedFmu(export_fmu(dae, folder / "model.fmu", fmi=3, solver=solver))
+    found.path = dae.full_name  # what messages name
+    return found
 
 
 def _several(make: Callable[[], Session | SystemSession], copies: int) -> SingleCopies:

@@ -15,6 +15,7 @@ from cosim.errors import FmuError, UsageError, naming_arguments
 from cosim.fmi.run.arrays import elements_of
 from cosim.fmi.run.description import by_name
 from cosim.fmi.run.instance import initialize, why_it_ended
+from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.run.request import checked_values, lost_state, output_names
 from cosim.integrate.keywords import requested
 from cosim.model.values import plain_values
@@ -22,7 +23,6 @@ from cosim.session.calls import FATAL, WARNING, PreparedCalls, StateCalls, free_
 from cosim.session.clock import Clock
 from cosim.session.life import RUNNING, Life, Phase
 from cosim.session.linearizer import Linearizer, LinearSystem
-from cosim.session.opened_file import OpenedFile
 from cosim.session.restart import Experiment, Restart
 from cosim.session.saved import ClockFacts, damaged, notes_of, packed, take_notes, unpacked
 from cosim.session.values import Values, finite, inputs_of, plain_value
@@ -51,12 +51,12 @@ class Session(Life):
 
     def __init__(
         self,
-        file: OpenedFile,
+        file: OpenedFmu,
         values: Mapping[str, float | str],
         experiment: Experiment,
         dae: Dae | None = None,
     ) -> None:
-        super().__init__(file.name, values)
+        super().__init__(str(file.path), values)
         self._file = file
         self._dae = dae
         self._experiment = experiment

@@ -62,7 +62,16 @@ class Master(StrEnum):
 
 
 class OpenedFmu:
-    """An FMU that can run many times; its binary runs in this process."""
+    """An unpacked FMU that can run many times; its binary runs in this process.
+
+    Its files are removed when nothing uses it any more.
+
+    Attributes:
+        path: What messages call it.
+        description: Of fmpy, with the elements of arrays.
+        interface: The one that runs.
+        is_own: Whether it was exported here, so that its reset is complete.
+    """
 
     def __init__(self, path: str | os.PathLike[str], interface: str | None = None) -> None:
         self.path = path
@@ -71,7 +80,8 @@ class OpenedFmu:
             self.description = with_elements(read_description(self._folder, path))
             self.interface = choose_interface(self._folder, self.description, interface, path)
             self._open = opening.pop_all()  # which stays open, as nothing has failed
-        self.reset_is_enough = is_made_here(path)  # else each run gets a new instance
+        finalize(self, self._open.close)
+        self.is_own = is_made_here(path)  # else each run gets a new instance
         self.callback: dict[str, Any] = {}  # of FMI 3; see `instantiated`
         self._live = self._open.enter_context(ExitStack())  # freed before the files are removed
         self._instance: tuple[Any, Callable[[Exception], FmuError]] | None = None
@@ -169,19 +179,23 @@ class OpenedFmu:
             self._calls = Calls(instance, self.description)
         return _run_compiled(instance, request, self._calls)
 
+    def instance(self, stack: ExitStack) -> tuple[Any, Callable[[Exception], FmuError]]:
+        """Return a new instance that a stack frees, and a function that explains its errors."""
+        facts = self._folder, self.description, self.interface, self.path
+        return stack.enter_context(instantiated(*facts, **self.callback))
+
     def ready(self) -> tuple[Any, Callable[[Exception], FmuError]]:
         """Return an instance, fresh or reset, and a function that adds its log to an error.
 
         What it has logged before is forgotten. After a fatal error it is of another copy of the
         library, as nothing of that one may be called.
         """
-        if not self.reset_is_enough or (self._instance and self._instance[0].fatal.value):
+        if not self.is_own or (self._instance and self._instance[0].fatal.value):
             self._drop()
         if self._is_spoilt:
             self._folder, self._is_spoilt = self._open.enter_context(unpacked(self.path)), False
         if self._instance is None:
-            facts = (self._folder, self.description, self.interface, self.path)
-            self._instance = self._live.enter_context(instantiated(*facts, **self.callback))
+            self._instance = self.instance(self._live)
         else:
             instance, explained = self._instance
             try:
@@ -226,9 +240,7 @@ def still_open(path: str | os.PathLike[str], interface: str | None) -> OpenedFmu
 
 @cached_per_thread(4)
 def _opened(path: str, interface: str | None, _changed: tuple[int, ...]) -> OpenedFmu:
-    found = OpenedFmu(path, interface)
-    finalize(found, ExitStack.close, found._open)
-    return found
+    return OpenedFmu(path, interface)
 
 
 def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun:

@@ -1,6 +1,5 @@
 """Subjects of a sweep: a model, a scene or an FMU. Only this module calls a simulation."""
 
-import atexit
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -155,7 +154,6 @@ class FmuSubject:
 
     def __init__(self, path: str, *, apart: bool = False) -> None:
         self._path, self._fmu, self._apart = path, OpenedFmu(path), apart
-        atexit.register(self.close)
         self._one_at_a_time = Lock()  # a worker of a cluster may have several threads
         self.name = str(self._fmu.description.modelName)
         self.digest = digest_of([Path(path).read_bytes()])
@@ -165,7 +163,6 @@ class FmuSubject:
 
     def close(self) -> None:
         """Free the instance of the FMU."""
-        atexit.unregister(self.close)
         self._fmu.close()
 
     def columns(self, outputs: Sequence[str] | None) -> tuple[Column, ...]:
