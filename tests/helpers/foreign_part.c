@@ -1,5 +1,5 @@
 /* A small FMU of FMI 2.0 that others could have written; foreign_part.py defines KIND, DIVIDES,
- * GRID, RESETS and FAULT. For co-simulation it makes 20 steps of the classic Runge-Kutta method per step.
+ * GRID, RESETS, MADE, READY and FAULT. For co-simulation it makes 20 steps of the classic Runge-Kutta method per step.
  */
 #include <math.h>
 #include <stdio.h>
@@ -57,6 +57,7 @@ API int fmi2SetDebugLogging(void *c, int on, size_t n, const char *const *names)
 API void *fmi2Instantiate(const char *name, int type, const char *guid, const char *place,
                           const void *functions, int visible, int logging) {
     (void)name, (void)type, (void)guid, (void)place, (void)functions, (void)visible, (void)logging;
+    MADE;
     return calloc(1, sizeof(Instance));
 }
 API void fmi2FreeInstance(void *c) {
@@ -72,7 +73,10 @@ API int fmi2EnterInitializationMode(void *c) {
     return (void)c, 0;
 }
 API int fmi2ExitInitializationMode(void *c) {
-    return (void)c, 0;
+    const Instance *self = c;
+    (void)self;
+    READY;
+    return 0;
 }
 API int fmi2Terminate(void *c) {
     return living(c), 0;

@@ -47,7 +47,7 @@ def foreign_part(
     folder: Path,
     kind: str,
     *,
-    fault: str = "",
+    fault: str | dict[str, str] = "",
     grid: float = 0.0,
     divides: bool = False,
     step_size: float | None = None,
@@ -64,6 +64,8 @@ def foreign_part(
             lag, x' = u - x, y = x; holder, x' = 0, y = x.
         fault: C statements at the begin of each step, or in model exchange of each evaluation of
             the derivative; `self`, `time` and `size` are known there.
+            A dictionary has those of MADE, where it is instantiated, and of READY, where its
+            initialization ends, with `self`.
         grid: The state after a step is rounded to a multiple of this number.
         divides: The derivative of the output is y/0 until the first step.
         step_size: The file declares steps of this size, s.
@@ -76,7 +78,9 @@ def foreign_part(
     source, library = folder / f"{name}.c", folder / f"{name}.so"
     defines = {"KIND": KINDS.index(kind), "DIVIDES": int(divides), "GRID": float(grid)}
     defines["RESETS"] = int(resets)
-    lines = [f"#define {key} {value}\n" for key, value in (defines | {"FAULT": fault}).items()]
+    faults = fault if isinstance(fault, dict) else {"FAULT": fault}
+    defines |= dict.fromkeys(("FAULT", "MADE", "READY"), "") | faults
+    lines = [f"#define {key} {value}\n" for key, value in defines.items()]
     source.write_text("".join(lines) + Path(__file__).with_name("foreign_part.c").read_text())
     flags = ["-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-lm"]
     subprocess.run([*find_compiler(), *flags], check=True)

@@ -445,6 +445,23 @@ def test_arrays_of_the_caller_are_copied():
         np.testing.assert_array_equal(copies["x"], [1, 2])
 
 
+def test_a_copy_whose_file_rejects_its_start_fails_alone(tmp_path):
+    path = foreign_part(tmp_path, "lag", fault={"READY": "if (self->u < 0) return 3"})
+    with cosim.open(path, copies=3) as copies:
+        copies.advance(1.0)
+        copies.reset({"u": [0.5, -1.0, 0.5]})  # before: two copies at 0 s and one at 1 s
+        assert list(copies.reasons) == [1]
+        assert "status 3" in copies.reasons[1]
+        copies.advance(to=0.5)
+        expected = 0.5 * (1 - np.exp(-0.5))
+        np.testing.assert_allclose(copies["x"], [expected, np.nan, expected], rtol=1e-8)
+        copies.reset({"u": 2.0}, only=[1])
+        copies.advance(0.5)
+        assert copies["x"][1] == pytest.approx(2 * (1 - np.exp(-0.5)), rel=1e-8)
+    with pytest.raises(FmuError, match=r"copy 1: .*status 3"):
+        cosim.open(path, copies=2, start_values={"u": [0.0, -1.0]})
+
+
 def test_saved_copies_of_another_model_of_the_name_are_refused():
     model = Model("decay", stop_time=1.0)
     x, y = model.state("x", "m", 1.0, "place"), model.state("y", "m", 1.0, "place")

@@ -89,6 +89,8 @@ class Copies:
         self._clock = Clock(start_time, start_time)
         self.inputs, self.outputs, self.states = engine.inputs, engine.outputs, engine.states
         self.reset()
+        for number, reason in engine.reasons.items():
+            raise FmuError(f"copy {number}: {reason}")
 
     def __len__(self) -> int:
         return self._count
@@ -140,7 +142,7 @@ class Copies:
         *,
         only: ArrayLike | None = None,
     ) -> None:
-        """Begin again.
+        """Begin again. A copy whose FMU rejects its values has failed; `reasons` says why.
 
         Args:
             start_values: Values by name that replace those of `cosim.open` for this time: numbers,
@@ -284,8 +286,6 @@ class Copies:
         )
         engine.reasons |= rejected
 
-    # -- checks -------------------------------------------------------------------------------
-
     def _require(self) -> Engine:
         if self._engine is None:
             raise FmuError(f"{self.name}: the copies are closed; open them again")
@@ -318,7 +318,7 @@ class Copies:
             column: Any = np.array(value)
             if column.dtype.kind not in "iu":  # integers from 2^53 on are no floats
                 column = column.astype(float)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ParameterError(f"{self.name}: {name}: {error}; give numbers") from error
         if column.shape != (count,):
             raise ParameterError(

@@ -37,10 +37,13 @@ class SingleCopies:
             with _naming(number):
                 self._sessions[number].checked(own)
         for number, own in zip(rows.tolist(), owns, strict=True):
-            with _naming(number):
-                self._sessions[number].reset(own, start_time=time)
             self.reasons.pop(number, None)
             self._failed.discard(number)
+            try:
+                self._sessions[number].reset(own, start_time=time)
+            except FmuError as error:  # the others begin all the same
+                self.reasons[number] = str(error)
+                self._failed.add(number)
             self._note_validity(number)
 
     def advance(self, time: float, target: float) -> dict[int, tuple[Event, ...]]:
