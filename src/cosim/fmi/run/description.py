@@ -93,12 +93,8 @@ def _drop_inverse_display_units(description: Any, root: ET.Element) -> None:
     for unit, element in zip(
         description.unitDefinitions, root.iterfind("UnitDefinitions/Unit"), strict=True
     ):
-        inverse = {
-            display.get("name")
-            for display in element.iterfind("DisplayUnit")
-            if display.get("inverse") in ("true", "1")
-        }
-        unit.displayUnits = [d for d in unit.displayUnits if d.name not in inverse]
+        shown = zip(unit.displayUnits, element.iterfind("DisplayUnit"), strict=True)
+        unit.displayUnits = [d for d, own in shown if own.get("inverse") not in ("true", "1")]
 
 
 def _read_overlooked(description: Any, root: ET.Element) -> None:
