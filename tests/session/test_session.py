@@ -366,6 +366,46 @@ def test_value_that_is_not_finite_is_named(kind, tmp_path):
             session.get([rate])
 
 
+ANSWER = """    *event = *ends = *early = false;
+    return *last = time + size, (void)no_rollback, 0;"""
+
+
+@pytest.mark.parametrize("writes", ["*ends = true, *last = time + size", "*early = true"])
+def test_answer_of_a_step_is_not_that_of_an_earlier_one(writes, tmp_path):
+    """The file writes its end or early return only, and no falsehood."""
+    path = typed_part(tmp_path, fault=(ANSWER, f"    if (time > 0.35) {writes}; return 0;"))
+    with cosim.open(path) as session:
+        session.advance(0.2)
+        saved = session.save()
+        session.advance(0.2)
+        if "ends" in writes:
+            session.advance(0.2)
+            assert (session.time, session.stop) == (0.2 * 3, "the FMU ends the run")
+        else:
+            with pytest.raises(FmuError, match="returned early"):
+                session.advance(0.2)
+        session.restore(saved)
+        session.advance(to=0.3)  # before: it ended at 0.6 s again, or returned early again
+        assert (session.time, session.stop) == (0.3, None)
+
+
+def test_end_without_a_time_is_that_of_the_step(tmp_path):
+    path = typed_part(tmp_path, fault=(ANSWER, "    if (time > 0.35) *ends = true; return 0;"))
+    with cosim.open(path) as session:
+        for _ in range(3):
+            session.advance(0.2)
+        assert (session.time, session.stop) == (0.2 * 3, "the FMU ends the run")  # before: 0 s
+    for master in ("fmpy", "c"):
+        run = cosim.simulate_fmu(path, output_interval=0.2, master=master)
+        assert (run.stats["stop_time"], run.time[-1]) == (0.2 * 3, 0.2 * 3)
+
+
+def test_status_that_is_none_of_the_fmi_ends_the_session(tmp_path):
+    path = typed_part(tmp_path, fault=(ANSWER, "    return -1;"))
+    with cosim.open(path) as session, pytest.raises(FmuError, match="status -1"):
+        session.advance(0.2)  # before: it went on
+
+
 def test_session_that_nobody_closes_is_freed_with_its_states(tmp_path):
     session = cosim.open(foreign_part(tmp_path, "lag", canSerializeFMUstate="false"))
     session.set(u=1.0)

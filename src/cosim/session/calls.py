@@ -3,7 +3,7 @@
 import ctypes
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,8 @@ class Group:
     """Variables of one C type, with the arguments of the functions that get and set them.
 
     Attributes:
-        get, set: Functions without arguments that return the status.
+        get, set: Functions without arguments that read the values into the buffer, and set them
+            to it; they return the status.
         getter: Name of the C function behind `get`.
         buffer: The values, which both functions use: arrays of FMI 3 as a whole.
         places: Of the variables, in the buffer.
@@ -56,18 +57,9 @@ class Group:
         arguments = [calls.instance, references, _SIZE(len(references)), values]
         arguments += [] if second else [_SIZE(layout.values)]
         self.getter = f"fmi{2 if second else 3}Get{kind}"
-        self._get = calls.function(f"Get{kind}")
-        self._set = calls.function(f"Set{kind}")
-        self._arguments = arguments
+        self.get: Callable[[], int] = partial(calls.function(f"Get{kind}"), *arguments)
+        self.set: Callable[[], int] = partial(calls.function(f"Set{kind}"), *arguments)
         self.columns = columns
-
-    def get(self) -> int:
-        """Read the values into the buffer."""
-        return self._get(*self._arguments)
-
-    def set(self) -> int:
-        """Set the values of the buffer."""
-        return self._set(*self._arguments)
 
 
 class PreparedCalls:
@@ -111,6 +103,7 @@ class PreparedCalls:
             found: Callable[..., int] = self._dll[full]
         except AttributeError:
             raise FmuError(f"its library has no function {full}") from None
+        found.restype = ctypes.c_uint  # type: ignore[attr-defined] # -1 is no good status
         return found
 
     def groups(self, variables: Sequence[Any]) -> list[Group]:
@@ -119,13 +112,15 @@ class PreparedCalls:
 
     def step(self, time: float, length: float) -> Step:
         """Take a communication step from a time, s."""
-        self._time.value = time
-        self._length.value = length
+        self._time.value, self._length.value = time, length
+        self._last.value = time + length
         status = self._do_step(*self._arguments)
         if not self.second:
-            if self._early.value and not self._ends.value and status <= WARNING:
+            ended, early = self._ends.value, self._early.value
+            self._ends.value = self._early.value = False  # some files only write what is true
+            if early and not ended and status <= WARNING:
                 raise FmuError("it returned early from fmi3DoStep, which was not allowed")
-            return Step(status, self._last.value, self._ends.value)
+            return Step(status, self._last.value, ended)
         if status != DISCARD:
             return Step(status, time + length, False)
         ends = ctypes.c_int()

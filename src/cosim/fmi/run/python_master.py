@@ -99,9 +99,6 @@ def _stopped_early(time: float, request: FmuRequest) -> FmuError:
     return FmuError(f"the run ended at {time:g} s, before the stop time {request.stop:g} s")
 
 
-# -- model exchange -------------------------------------------------------------------------------
-
-
 def _model_exchange(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
 ) -> tuple[dict[str, Any], Growth | Trough | None]:
@@ -272,9 +269,6 @@ class Clock:
             self._followers.set_all(_values(self._piece, time))
 
 
-# -- co-simulation --------------------------------------------------------------------------------
-
-
 def _co_simulation(
     instance: Any, request: FmuRequest, recorder: _Recorder, interrupts: Sequence[int]
 ) -> tuple[dict[str, Any], None]:
@@ -306,7 +300,7 @@ def _plain_step(instance: Any) -> _Step:
         _, ends, early, last = instance.doStep(begin, end - begin)
         if early and not ends:
             raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
-        return last if ends else end, ends
+        return last if ends and last >= begin else end, ends  # 0 is that of files without one
 
     return step
 
@@ -356,9 +350,6 @@ def _step_with_inputs(
         return reached, ends
 
     return driven
-
-
-# -- both -----------------------------------------------------------------------------------------
 
 
 def _sample_times(series: InputSeries, request: FmuRequest) -> Vector:
