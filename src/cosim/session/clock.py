@@ -33,10 +33,41 @@ class Clock:
         self.now, self.first, self.length, self.count = facts
 
     def target(self, owner: str, step: float | None, to: float | None) -> float:
-        """Return the time that a call of `advance` is to reach, s; see `target_of`."""
-        if to is None and isinstance(step, float | int) and step == self.length:
-            return self.first + (self.count + 1) * self.length
-        return target_of(owner, self.now, step, to)
+        """Return the time that a call of `advance` is to reach, s.
+
+        Args:
+            owner: Of the session, for errors.
+            step, to: Arguments of `advance`, s.
+
+        Raises:
+            UsageError: None or both are given.
+            ParameterError: The time is not finite or before the present one, or the step is too
+                short.
+        """
+        now = self.now
+        if (step is None) == (to is None):
+            raise UsageError(f"{owner}: advance takes a step or a time to reach; give one")
+        if step is None:
+            target = number(owner, "to", to)
+            if target < now:
+                raise ParameterError(
+                    f"{owner}: to = {target:.12g} s is before the present time {now:.12g} s; go "
+                    "back with restore or reset"
+                )
+            return target
+        is_equal = isinstance(step, float | int) and step == self.length
+        length = self.length if is_equal else number(owner, "step", step)
+        if length < 0:
+            raise ParameterError(
+                f"{owner}: step = {length:g} s goes backwards; go back with restore or reset"
+            )
+        target = self.first + (self.count + 1) * length if is_equal else now + length
+        if length and target == now:
+            raise ParameterError(
+                f"{owner}: step = {length:g} s is too short at {now:.12g} s to change the time; "
+                "give a longer one"
+            )
+        return target
 
     def reach(self, target: float, step: float | None) -> None:
         """Set the time that such a call has reached, s."""
@@ -52,39 +83,3 @@ def is_beyond(now: float, target: float, stop: float) -> bool:
     """Tell whether a step ends after the stop time, but for rounding as in an FMU."""
     length = target - now
     return target - stop > min(1e-9 * max(abs(now), length), length / 2)
-
-
-def target_of(owner: str, now: float, step: float | None, to: float | None) -> float:
-    """Return the time to reach, s.
-
-    Args:
-        owner: Of the session, for errors.
-        now: The present time, s.
-        step, to: Arguments of `advance`, s.
-
-    Raises:
-        UsageError: None or both are given.
-        ParameterError: The time is not finite or before the present one, or the step is too short.
-    """
-    if (step is None) == (to is None):
-        raise UsageError(f"{owner}: advance takes a step or a time to reach; give one")
-    if to is not None:
-        target = number(owner, "to", to)
-        if target < now:
-            raise ParameterError(
-                f"{owner}: to = {target:.12g} s is before the present time {now:.12g} s; go back "
-                "with restore or reset"
-            )
-        return target
-    length = number(owner, "step", step)
-    if length < 0:
-        raise ParameterError(
-            f"{owner}: step = {length:g} s goes backwards; go back with restore or reset"
-        )
-    target = now + length
-    if length > 0 and target == now:
-        raise ParameterError(
-            f"{owner}: step = {length:g} s is too short at {now:.12g} s to change the time; give a "
-            "longer one"
-        )
-    return target

@@ -7,12 +7,12 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from cosim.arrays import Vector
-from cosim.errors import FmuError, UsageError
+from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.description import by_name
 from cosim.fmi.run.request import output_names
 from cosim.integrate.modes import hybrid
 from cosim.model.catalogue import observable
-from cosim.model.values import Values, listed
+from cosim.model.values import Values
 from cosim.session.calls import Jacobians, PreparedCalls
 from cosim.session.values import inputs_of
 from cosim.study.linearize.local import local_system, with_kinks_of
@@ -34,7 +34,7 @@ class Linearizer:
         name: Of the session, for errors.
         description: Of fmpy.
         calls: Of the instance.
-        outputs: Names of y; the outputs of the FMU when None.
+        outputs: Names of y.
         dae: Its model; None of a file.
 
     Attributes:
@@ -50,7 +50,7 @@ class Linearizer:
         name: str,
         description: Any,
         calls: PreparedCalls,
-        outputs: Sequence[str] | None,
+        outputs: Sequence[str],
         dae: Dae | None,
     ) -> None:
         rates = [item.variable for item in description.derivatives]
@@ -61,8 +61,11 @@ class Linearizer:
             )
         variables = by_name(description)
         inputs = inputs_of(description)
-        chosen = None if outputs is None else listed(f"{name}: linearize", outputs)
-        self.outputs = tuple(output_names(name, variables, chosen))
+        self.outputs = tuple(output_names(name, variables, outputs))
+        known = [n for n, v in variables.items() if v.causality == "output"]
+        known += [v.name for rate in rates for v in (rate.derivative, rate)]
+        for output in self.outputs:
+            UnknownName.reject(name, "output", known, output)
         if any(v.dimensions for v in description.modelVariables):
             raise FmuError(
                 f"{name} has arrays, whose derivatives are not read; linearize its model"

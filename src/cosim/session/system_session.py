@@ -29,6 +29,7 @@ from cosim.fmi.run.description import by_name
 from cosim.fmi.run.instance import access_to, why_it_ended
 from cosim.fmi.run.typed_values import NUMERIC, is_number
 from cosim.host.signals import interruptible
+from cosim.model.times import reject_span
 from cosim.model.values import listed
 from cosim.session.calls import FATAL, WARNING, PreparedCalls
 from cosim.session.clock import Clock, is_beyond
@@ -100,13 +101,12 @@ class SystemSession(Life):
         text = "\n".join([*facts, f"{system.connections} {settings}"])
         return hashlib.sha256(text.encode()).digest()[:16]
 
-    # -- life ---------------------------------------------------------------------------------
-
     def _begin_at(self, given: Mapping[str, Any], start: float | None = None) -> None:
         values, settings = self.checked(given), self._settings
         if start is not None:
             stop = settings.stop if self._ends else settings.stop - settings.start + start
             settings = replace(settings, start=start, stop=stop)
+            reject_span(start, stop, f"{self.name}: ")
         self._phase = Phase.FAILED
         self._begun.close()
         for name in ("_states", "_saver"):
@@ -136,8 +136,6 @@ class SystemSession(Life):
         other = SystemSession(self._system, self._start_values, self._settings, ends=self._ends)
         other.restore(self.save())
         return other
-
-    # -- running ------------------------------------------------------------------------------
 
     @property
     def invalid(self) -> str | None:
@@ -200,8 +198,6 @@ class SystemSession(Life):
             return
         self._phase = Phase.FAILED
         raise FmuError(f"{self.name}: {failure(answer, self._instances.wiring)}")
-
-    # -- values -------------------------------------------------------------------------------
 
     def set(
         self, values: Mapping[str, float | str] | ArrayLike | None = None, /, **named: float | str
@@ -305,8 +301,6 @@ class SystemSession(Life):
                 "tell it; read that instead"
             )
         return End(variable, 1 / factor, -offset / factor)
-
-    # -- states -------------------------------------------------------------------------------
 
     @cached_property
     def _states(self) -> PartStates:

@@ -28,7 +28,6 @@ class Values:
         description: Of fmpy.
         calls: Of the instance.
         check: Raises the error of a status.
-        outputs: Names of the outputs.
 
     Attributes:
         inputs: Those that are one number.
@@ -40,12 +39,10 @@ class Values:
         description: Any,
         calls: PreparedCalls,
         check: Callable[[int, str], None],
-        outputs: tuple[str, ...],
     ) -> None:
         self._name, self._description, self._calls, self._check = name, description, calls, check
         self._variables = by_name(description)
         self.inputs = inputs_of(description)
-        self.outputs = outputs
         self._selection = lru_cache(LARGEST)(self._prepared)
         self._setters: dict[str, tuple[Any, Group]] = {}
 
@@ -96,14 +93,12 @@ class Values:
         self._setters[name] = found
         return found
 
-    def get(self, names: Sequence[str] | None) -> Vector:
+    def get(self, names: tuple[str, ...]) -> Vector:
         """Return values, (n,); see `Session.get`."""
-        key = tuple(names) if isinstance(names, list) else names
-        prepared = self._selection if isinstance(key, tuple | None) else self._prepared
         try:
-            groups = prepared(key)
+            groups = self._selection(names)
         except (TypeError, NotImplementedError):  # what cannot be looked up is no name
-            groups = self._prepared(key)
+            groups = self._prepared(names)
         if len(groups) == 1 and groups[0].is_plain:
             status = groups[0].get()
             if status > WARNING:
@@ -115,9 +110,9 @@ class Values:
             row[group.columns] = group.buffer[group.places]
         return row
 
-    def _prepared(self, names: Any) -> list[Group]:
+    def _prepared(self, names: tuple[str, ...]) -> list[Group]:
         """Prepare the calls that read variables."""
-        chosen = self.outputs if names is None else listed(f"{self._name}: get", names)
+        chosen = listed(f"{self._name}: get", names)
         for name in chosen:
             UnknownName.reject(self._name, "variable", self._variables, name)
             if not is_number(self._variables[name]):

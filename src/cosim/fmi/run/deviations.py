@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.arrays import Vector
-from cosim.fmi.run.arrays import elements_of
-from cosim.fmi.run.request import FmuRequest, nominals_of
+from cosim.fmi.run.request import FmuRequest, nominals_of, state_names
 from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
 from cosim.model.troughs import Trough, deepest_trough
 
@@ -43,7 +42,7 @@ class Deviations:
 
     def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
         self._instance, self._clock = instance, clock
-        self.names = _state_names(request.description)
+        self.names = state_names(request.description)
         self._tolerances = request.relative_tolerance, request.relative_tolerance
         self._follows = request.closer is not None
         own = request.closer.shares if request.closer else 1.0
@@ -162,11 +161,3 @@ class Deviations:
             for shift in shifts
         ]
         return np.array(columns).T
-
-
-def _state_names(description: Any) -> list[str]:
-    """Return the names of the states; an array stands for its elements."""
-    states = [item.variable.derivative for item in description.derivatives]
-    every = description.modelVariables
-    numbers = [elements_of(state, every) if state.dimensions else [state] for state in states]
-    return [number.name for some in numbers for number in some]

@@ -386,6 +386,14 @@ def column_of(variable: Any, description: Any) -> Column:
     )
 
 
+def state_names(description: Any) -> list[str]:
+    """Return the names of the states in their order; an array stands for its elements."""
+    states = [item.variable.derivative for item in description.derivatives]
+    every = description.modelVariables
+    numbers = [elements_of(state, every) if state.dimensions else [state] for state in states]
+    return [number.name for some in numbers for number in some]
+
+
 @lru_cache(8)
 def _states(description: Any) -> frozenset[str]:
     """Return the names of the states that the equations of an FMU have."""
