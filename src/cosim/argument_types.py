@@ -107,7 +107,8 @@ def _is_one(value: Any, kind: type) -> bool:
 
 def _is_numeric(value: Any) -> bool:
     try:
-        return np.asarray(value, dtype=float).size >= 0
+        is_complex = np.asarray(value).dtype.kind == "c"
+        return not is_complex and np.asarray(value, dtype=float).size >= 0
     except (ValueError, TypeError, OverflowError, RuntimeError, NotImplementedError):
         return False
 

@@ -8,11 +8,23 @@ Truths = NDArray[np.bool_]
 Vector = NDArray[np.float64]  # of any number of dimensions; docstrings give the shape
 
 
+def reals(given: ArrayLike) -> Vector:
+    """Return a new array of doubles.
+
+    Raises:
+        TypeError, ValueError, OverflowError: They are no real numbers. NumPy takes the real parts
+            of complex arrays.
+    """
+    if np.asarray(given).dtype.kind == "c":
+        raise TypeError("complex numbers are no real ones")
+    return np.array(given, dtype=float)
+
+
 def frozen(given: ArrayLike) -> Vector:
     """Return a read-only array of doubles; a copy unless the argument is read-only already."""
     if isinstance(given, np.ndarray) and _is_frozen(given):
         return given
-    array = np.array(given, dtype=float)
+    array = reals(given)
     array.setflags(write=False)
     return array
 

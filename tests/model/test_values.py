@@ -11,7 +11,7 @@ import pytest
 import casadi_models
 import cosim
 from casadi_models.dae import Model, Start
-from cosim.errors import InitialConditionError, ParameterError, UnknownName
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.model.values import assign, number
 
 
@@ -127,6 +127,24 @@ def test_zero_is_taken_where_the_model_allows_it(name, value):
 def test_inertia_that_no_body_has_is_refused_with_its_principal_moments(bicycle, given, moments):
     with pytest.raises(ParameterError, match=rf"rear frame has principal moments .*{moments}"):
         assign(bicycle, given)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        lambda z: cosim.simulate_many("crank_shaft", {"omega": z}, stop_time=1.0),
+        lambda z: cosim.sweep("crank_shaft", {"omega": z}, workers=0),
+        lambda z: cosim.sweep("crank_shaft", {"omega": z}, design="grid", workers=0),
+        lambda z: cosim.open("crank_shaft", copies=2, start_values={"omega": z}),
+        lambda z: cosim.simulate("bar_on_frame", inputs={"T2": z}, stop_time=1, output_interval=1),
+        lambda z: cosim.simulate("crank_shaft", output_times=z),
+        lambda z: cosim.simulate("crank_shaft", stop_time=1.0).at(z),
+        lambda z: cosim.InputSeries(("T2",), np.arange(2.0), z[:, None]),
+    ],
+)
+def test_complex_numbers_are_refused_in_arrays_as_elsewhere(given):
+    with pytest.raises((ParameterError, UsageError)):
+        given(np.array([0.0, 1.0 + 1.0j]))  # before: their real parts were taken
 
 
 def test_rod_without_thickness_is_a_body(bicycle):

@@ -15,7 +15,7 @@ from casadi import SX
 from casadi_models.dae import Dae, Model, Variable
 from casadi_models.dae.starts import reject_disorder
 from casadi_models.dae.variables import is_name
-from cosim.arrays import Vector
+from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
 from cosim.model.formula import expression
@@ -301,7 +301,7 @@ def _symbolic(dae: Dae, law: Callable[[Any], Any]) -> SX:
 def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:
     try:
         samples = [value(float(t)) for t in grid] if callable(value) else value
-        array = np.array(samples, dtype=float)
+        array = reals(samples)
         if callable(value) and len(grid) > 1:
             grid, array = _with_jumps(value, *_with_peaks(value, grid, array))
     except Exception as error:

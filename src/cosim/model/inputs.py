@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
+from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UnknownName, UsageError, naming_arguments_of
 from cosim.memo import digest_of
 from cosim.series.csv_file import Words, read_samples
@@ -54,7 +54,7 @@ class InputSeries:
     spans: Mapping[str, tuple[float, float]] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
-        time, values = (np.array(a, dtype=float) for a in (self.time, self.values))
+        time, values = map(reals, (self.time, self.values))
         if time.ndim != 1 or len(time) < 2 or values.shape != (len(time), len(self.names)):
             raise ParameterError(
                 f"input series: time has shape {time.shape}, values have {values.shape}, for "

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae, Start
-from cosim.arrays import Integers, Vector
+from cosim.arrays import Integers, Vector, reals
 from cosim.errors import CosimError, ParameterError, UsageError
 from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.model.values import assign, inertias, unphysical, usual_numbers
@@ -50,7 +50,7 @@ def as_arrays(owner: str, values: Mapping[str, ArrayLike] | None) -> dict[str, V
     columns: dict[str, Vector] = {}
     for name, value in (values or {}).items():
         try:
-            columns[name] = np.array(value, dtype=float)
+            columns[name] = reals(value)
         except (TypeError, ValueError, OverflowError) as error:
             raise ParameterError(f"{owner}: {name}: {error}; give numbers in SI units") from error
         if columns[name].ndim > 1:

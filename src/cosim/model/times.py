@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
+from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UsageError
 from cosim.model.values import number
 
@@ -87,7 +87,7 @@ def checked_grid(grid: ArrayLike) -> Vector:
         ParameterError: The grid is not increasing or not finite.
     """
     try:
-        times = np.array(grid, dtype=float)
+        times = reals(grid)
     except (TypeError, ValueError) as error:
         raise ParameterError(f"grid: {error}; give times in s") from error
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
@@ -137,7 +137,7 @@ class Times:
     def at(cls, times: ArrayLike, start: float = 0.0, stop: float | None = None) -> "Times":
         """Return explicit output times, s, (n,), of a run from `start` (to `stop`)."""
         try:
-            own = np.atleast_1d(np.array(times, dtype=float))
+            own = np.atleast_1d(reals(times))
         except (TypeError, ValueError, OverflowError):
             raise UsageError.of_type("output_times", times, "times in s, (n,)") from None
         if own.ndim != 1 or not own.size or not np.isfinite(own).all():

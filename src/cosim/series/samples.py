@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.units import converted, parse_unit
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Truths, Vector, reals
 from cosim.errors import ParameterError, naming_arguments_of
 from cosim.series.curves import Curves
 from cosim.text import MOST_LINES, MOST_NAMES, Table, shortened, text_table
@@ -152,7 +152,7 @@ def times_within(owner: str, span: Vector, times: ArrayLike) -> Vector:
         ParameterError: They are not numbers, decrease, or are not within the span.
     """
     try:
-        requested = np.array(times, dtype=float)
+        requested = reals(times)
     except (TypeError, ValueError) as error:
         raise ParameterError(f"{owner}: times {error}; give numbers, s") from error
     if not len(span):

@@ -7,7 +7,7 @@ from typing import Any, NoReturn, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cosim.arrays import Integers, Truths, Vector
+from cosim.arrays import Integers, Truths, Vector, reals
 from cosim.errors import FmuError, ParameterError, UsageError, naming_arguments_of
 from cosim.model.values import listed
 from cosim.session.clock import Clock
@@ -317,7 +317,7 @@ class Copies:
         try:
             column: Any = np.array(value)
             if column.dtype.kind not in "iu":  # integers from 2^53 on are no floats
-                column = column.astype(float)
+                column = reals(column)
         except (TypeError, ValueError, OverflowError) as error:
             raise ParameterError(f"{self.name}: {name}: {error}; give numbers") from error
         if column.shape != (count,):

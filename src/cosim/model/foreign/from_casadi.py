@@ -12,7 +12,7 @@ from casadi import MX, SX
 from casadi_models.dae import Dae, Model
 from casadi_models.dae.relations import term_sizes
 from casadi_models.units import known as known_unit
-from cosim.arrays import Vector
+from cosim.arrays import Vector, reals
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.model.foreign.casadi_system import (
     SYMBOLS,
@@ -172,7 +172,7 @@ class Facts:
             try:
                 if given is None or np.asarray(given).dtype == bool:
                     raise TypeError
-                entries = [float(v) for v in np.asarray(given, dtype=float).flatten(order="F")]
+                entries = [float(v) for v in reals(given).flatten(order="F")]
             except (TypeError, ValueError):
                 raise ParameterError(
                     f"{self.who}: start of {name} is {given!r}; give numbers"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadi_models.units import represented
-from cosim.arrays import Vector
+from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.memo import digest_of
@@ -155,7 +155,7 @@ def grid(axes: Mapping[str, ArrayLike]) -> Samples:
 
 def _axis(name: str, values: ArrayLike) -> Vector:
     try:
-        axis = np.atleast_1d(np.array(values, dtype=float))
+        axis = np.atleast_1d(reals(values))
     except (TypeError, ValueError, OverflowError, RuntimeError, NotImplementedError):
         axis = np.empty((0, 0))
     if axis.ndim != 1 or not axis.size:
