@@ -1,7 +1,7 @@
 """Whether an argument has the type that its annotation names; asked after a call has failed."""
 
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Sized
 from contextlib import suppress
 from inspect import Parameter, isclass, signature
 from numbers import Integral, Real
@@ -81,8 +81,11 @@ def _fits(value: Any, kind: Any) -> bool:
             for each, parts in zip(inner, (value, value.values()), strict=False)
             for part in parts
         )
+    if own is tuple and inner and inner[1:] != (...,):
+        several = _is_iterable(value, ()) and isinstance(value, Sized)
+        return several and len(value) == len(inner) and all(map(_fits, value, inner))
     if own in _MANY:
-        parts = inner[:1] if own is not tuple or inner[1:] == (...,) else ()
+        parts = inner[:1]
         return _is_iterable(value, parts) and all(
             _fits(part, each) for each in parts for part in value
         )
@@ -133,6 +136,7 @@ def _words(kind: Any) -> list[str]:
     if own in (Union, UnionType):
         return list(dict.fromkeys(word for each in _alternatives(inner) for word in _words(each)))
     if own in _MANY:
-        return ["a list of texts" if str in inner else "a list"]
+        several = f"{len(inner)} values" if own is tuple and inner[1:] != (...,) else "a list"
+        return ["a list of texts" if str in inner else several]
     name = getattr(own, "__name__", str(own))
     return [_WORDS.get(own, f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")]

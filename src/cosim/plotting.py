@@ -21,6 +21,7 @@ from cosim.errors import UnknownName, UsageError
 from cosim.files import write_atomically
 
 DPI, MOST_PIXELS = 120, 4e8
+_LETTERS = 7  # points; the smallest ones
 LINES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (3, 1, 1, 1)), (0, (1, 1)), "-.", "--")  # for print
 STYLE: Any = matplotlib.rc_params_from_file(  # matplotlib types its keys one by one
     Path(__file__).with_name("cosim.mplstyle"), use_default_template=False
@@ -96,11 +97,13 @@ def picture(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
 
 
 def reject_pixels(width: float, height: float, dpi: float) -> None:
-    """Reject the size of a picture, inches, with no pixels or more than `MOST_PIXELS`."""
+    """Reject the size of a picture, inches, with letters below a pixel, or too many pixels."""
     across, down = width * dpi, height * dpi
     if not (min(across, down) >= 1 and across * down <= MOST_PIXELS):
         size = f"{across:.4g} x {down:.4g}"
         raise UsageError(f"a picture cannot have {size} pixels; change its size or dpi")
+    if dpi * _LETTERS < 72:
+        raise UsageError(f"at {dpi:g} dpi, letters are smaller than a pixel; give a larger dpi")
 
 
 def reject_formulas(texts: Iterable[str]) -> None:

@@ -153,6 +153,28 @@ def test_a_picture_with_no_pixels_or_too_many_is_rejected(run, look, ending, tmp
         animate(run, tmp_path / f"x.{ending}", **look)
 
 
+@pytest.mark.parametrize("ending", ["png", "gif", "pdf"])
+@pytest.mark.parametrize(
+    ("look", "words"),
+    [
+        ({"dpi": 3}, "at 3 dpi, letters are smaller than a pixel"),  # before: an error of FreeType
+        ({"size": (6.0,)}, "size was given .*; give 2 values"),
+        ({"size": (6.0, 4.0, 1.0)}, "size was given .*; give 2 values"),
+        ({"size": ("a", "b")}, "size was given .*; give 2 values"),
+        ({"size": [[6.0, 4.0]]}, "size was given .*; give 2 values"),
+    ],
+)
+def test_a_picture_of_another_kind_of_size_is_rejected(run, look, words, ending, tmp_path):
+    with pytest.raises(UsageError, match=words):
+        cosim.animate(run, tmp_path / f"x.{ending}", **look)
+    assert not (tmp_path / f"x.{ending}").exists()
+
+
+def test_a_picture_without_a_time_is_rejected(run, tmp_path):
+    with pytest.raises(UsageError, match="there is no time to draw"):
+        animate(run, tmp_path / "x.png", at=[])  # before: cannot reshape array
+
+
 def facts_of(page):
     text = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
     return json.loads(text[1])

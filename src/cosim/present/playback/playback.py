@@ -67,6 +67,8 @@ def playback(
         frames = frame_times(run.time, turn_rate, frames_per_second / speed)
     else:
         frames = np.asarray(times, dtype=float)
+    if not len(frames):
+        raise UsageError(f"{run.model}: there is no time to draw; name one")
     clipped, inside = clipped_times(run.time, frames)
     if not inside.all():
         raise UsageError(
