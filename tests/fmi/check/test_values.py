@@ -18,7 +18,7 @@ from cosim.fmi.check.trials.derivatives import Known, derivatives
 from cosim.fmi.check.trials.derivatives import _adjoint as adjoint
 from cosim.fmi.check.trials.derivatives import _by_several as by_several
 from cosim.fmi.check.trials.derivatives import _compared as compared
-from cosim.fmi.check.trials.start import initialization, reset, start
+from cosim.fmi.check.trials.start import initialization, reset, rollback, start
 from cosim.fmi.check.trials.steps import _remembered as remembered
 from cosim.fmi.check.trials.steps import calls, exchange
 from cosim.fmi.check.trials.switching import switching
@@ -87,6 +87,23 @@ def test_value_that_is_not_what_was_set_is_found(fault, names, tmp_path):
     reported = found(typed_part(tmp_path, 3, fault), settings)
     assert {rule for _, rule, _ in reported} == {"settings"}
     assert {place for _, _, place in reported} == names
+
+
+RESETS = "API void *fmi3InstantiateCoSimulation(void)"
+RESET = "API int fmi3Reset(Instance *self) {\n    return start(self), 0;\n}\n"
+
+
+def test_array_that_a_reset_or_a_stored_state_leaves_is_found(tmp_path):
+    """Its outputs are arrays, and numbers of other types."""
+    assert found(typed_part(tmp_path), reset) == {(WRONG, "reset", "CoSimulation")}
+    sound = typed_part(tmp_path, 3, (RESETS, RESET + RESETS))
+    assert found(sound, reset, rollback) == set()
+    ignored = (
+        "    return memcpy(c, state, sizeof(Instance)), 0;",
+        "    return (void)c, (void)state, 0;",
+    )
+    places = found(typed_part(tmp_path, 3, ignored), rollback)  # before: nothing was compared
+    assert places == {(WRONG, "rollback", "CoSimulation")}
 
 
 def test_state_and_parameter_that_cannot_be_set_are_found(tmp_path):

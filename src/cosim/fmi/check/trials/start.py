@@ -1,6 +1,6 @@
 """Trials of an FMU's initialization, and of the repeatability of its runs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import Any
@@ -11,6 +11,9 @@ from cosim.arrays import Vector
 from cosim.fmi.check.finding import TRIAL_RULES, Finding, Rule
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
+from cosim.fmi.run.arrays import Access, with_elements
+from cosim.fmi.run.instance import access_to
+from cosim.fmi.run.typed_values import is_number
 from cosim.text import shortened
 
 _NOISE = 1e-9  # of an output in nominal values
@@ -211,17 +214,31 @@ def rollback(bench: Bench, kind: str) -> Iterator[Finding]:
 
 def _disturb(session: Session) -> None:
     """Change the inputs of an instance that goes back to another state."""
-    inputs = session.bench.reals("input", "continuous")
     with suppress(Exception):  # it may reject values
-        for variable, value in zip(inputs, session.values(inputs), strict=True):
-            session.put(variable, altered(variable, value, 0.1))
+        for known, _, access in _settable(session, ("input",)):
+            access.set([altered(known, value, 0.1) for value in access.get()])
 
 
 def _put_other_settings(session: Session) -> None:
     """Give parameters and inputs other values than those of the file, before the start."""
-    bench = session.bench
-    for variable in (*bench.reals("parameter"), *bench.reals("input", "continuous")):
-        session.put(variable, altered(variable, float(variable.texts["start"]), 0.02))
+    for known, group, access in _settable(session, ("parameter", "input")):
+        if all(one.start for one in group):  # else only the FMU knows them
+            access.set([altered(known, float(one.start), 0.02) for one in group])
+
+
+def _settable(
+    session: Session, causalities: Sequence[str]
+) -> Iterator[tuple[Described, list[Any], Access]]:
+    """Yield real parameters and continuous inputs, each with its elements and access to them."""
+    bench, groups = session.bench, dict[tuple[str, str], list[Any]]()
+    for one in with_elements(bench.fmpy).modelVariables:
+        if not one.dimensions:
+            groups.setdefault((one.type, str(one.valueReference)), []).append(one)
+    for known in bench.described.variables:
+        is_real = known.kind in ("Real", "Float64") and known.causality in causalities
+        if is_real and (known.causality == "parameter" or known.variability == "continuous"):
+            group = groups.get((known.kind, known.reference), [])
+            yield known, group, access_to(group, session.instance, bench.fmpy)
 
 
 def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
@@ -231,38 +248,45 @@ def few_numbers(session: Session, other: Session | None = None, *, started: bool
     """
     if not started:
         session.start()
-    bench, outputs = session.bench, _recorded(session.bench)
-    rows = [session.values(outputs)]
+    bench = session.bench
+    recorded = access_to(_recorded(bench), session.instance, bench.fmpy).get
+    rows = [recorded()]
     if session.kind == "CoSimulation":
         size = bench.step_size(session.kind)
         ahead = iter(()) if other is None else other.steps(size, 2 * _FEW)
         for _ in session.steps(size, _FEW):
             for _ in islice(ahead, 2):
                 pass
-            rows.append(session.values(outputs))
+            rows.append(recorded())
     else:
         with suppress(Skipped):
-            rows += _near_slopes(session, other)
-    return np.concatenate(rows)
+            rows += _near_slopes(session, other, recorded)
+    return np.concatenate(rows).astype(float)
 
 
-def _recorded(bench: Bench) -> list[Described]:
-    """Return the outputs, and the variable of the time."""
-    return [*bench.reals("output"), *bench.reals("independent")]
+def _recorded(bench: Bench) -> list[Any]:
+    """Return the outputs that are numbers, and the variable of the time; of arrays the elements."""
+    known = with_elements(bench.fmpy).modelVariables
+    chosen = [v for v in known if v.causality in ("output", "independent") and is_number(v)]
+    if not chosen:
+        raise Skipped("it has no outputs that are numbers")
+    return chosen
 
 
-def _near_slopes(session: Session, other: Session | None) -> Iterator[Vector]:
+def _near_slopes(
+    session: Session, other: Session | None, recorded: Callable[[], list[Any]]
+) -> Iterator[Any]:
     """Yield derivatives and outputs at a state and at a state near it, where the session stays."""
-    outputs, pairs = _recorded(session.bench), session.bench.states()
+    pairs = session.bench.states()
     states, rates = [state for state, _ in pairs], [rate for _, rate in pairs]
     if other is not None:
         other.put_states(moved(other.values(states)))
-        other.values(outputs)
+        access_to(_recorded(other.bench), other.instance, other.bench.fmpy).get()
     yield session.values(rates)
-    yield session.values(outputs)
+    yield recorded()
     session.put_states(moved(session.values(states)))
     yield session.values(rates)
-    yield session.values(outputs)
+    yield recorded()
 
 
 def moved(at: Vector) -> Vector:
@@ -282,5 +306,5 @@ def _differing(bench: Bench, one: Vector, other: Vector) -> str:
         return "it ends at another time"
     at = int(np.flatnonzero((one != other) & ~(np.isnan(one) & np.isnan(other)))[0])
     outputs = _recorded(bench)
-    name = outputs[at % len(outputs)].name if outputs else "a derivative"
+    name = outputs[at % len(outputs)].name
     return f"first in {name}, {one[at]:.17g} and {other[at]:.17g}"
