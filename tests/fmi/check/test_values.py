@@ -20,7 +20,7 @@ from cosim.fmi.check.trials.derivatives import _by_several as by_several
 from cosim.fmi.check.trials.derivatives import _compared as compared
 from cosim.fmi.check.trials.start import initialization, reset, rollback, start
 from cosim.fmi.check.trials.steps import _remembered as remembered
-from cosim.fmi.check.trials.steps import calls, exchange
+from cosim.fmi.check.trials.steps import calls, exchange, steps
 from cosim.fmi.check.trials.switching import switching
 from cosim.fmi.check.trials.values import _set_in_a_run as set_in_a_run
 from cosim.fmi.check.trials.values import bounds, defaults, settings
@@ -89,6 +89,7 @@ def test_value_that_is_not_what_was_set_is_found(fault, names, tmp_path):
     assert {place for _, _, place in reported} == names
 
 
+ANSWER = "    *event = *ends = *early = false;"
 RESETS = "API void *fmi3InstantiateCoSimulation(void)"
 RESET = "API int fmi3Reset(Instance *self) {\n    return start(self), 0;\n}\n"
 
@@ -104,6 +105,18 @@ def test_array_that_a_reset_or_a_stored_state_leaves_is_found(tmp_path):
     )
     places = found(typed_part(tmp_path, 3, ignored), rollback)  # before: nothing was compared
     assert places == {(WRONG, "rollback", "CoSimulation")}
+
+
+def test_array_that_is_not_finite_is_found(tmp_path):
+    begin = "    *self = (Instance){.n = FMI == 3 ? 2 : 1, .count = 1, .mode = 1};"
+    late = begin.replace("};", "};\n    self->x[1] = 0.0 / 0.0;")
+    places = {("start", "ModelExchange"), ("start", "CoSimulation")}
+    assert {one[1:] for one in found(typed_part(tmp_path, 3, (begin, late)))} == places
+    late = ANSWER.replace(
+        "    *event", "    if (time > 0.5) ((Instance *)c)->x[1] = 0.0 / 0.0;\n    *event"
+    )
+    (fault,) = found(typed_part(tmp_path, 3, (ANSWER, late)), steps)  # before: none
+    assert fault == (WRONG, "steps", "CoSimulation")
 
 
 def test_state_and_parameter_that_cannot_be_set_are_found(tmp_path):

@@ -19,10 +19,12 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.finding import Finding
 from cosim.fmi.check.parsed import Described, Description, parse
+from cosim.fmi.run.arrays import Access, with_elements
 from cosim.fmi.run.description import Interface, by_name, read_description
-from cosim.fmi.run.instance import enter_continuous_time, instantiated
+from cosim.fmi.run.instance import access_to, enter_continuous_time, instantiated
 from cosim.fmi.run.python_master import run_in_python
 from cosim.fmi.run.request import FmuRequest
+from cosim.fmi.run.typed_values import is_number
 
 MOST_NAMES = 5  # in one finding
 MEMORY_GROWTH = 2**19  # bytes; what is less does not count
@@ -98,6 +100,15 @@ class Bench:
         """Return the variables of one kind that are real numbers."""
         every = (v for v in self.described.variables if v.causality == causality)
         return [v for v in every if variability in ("", v.variability) and self.single(v)]
+
+    def numbers(self, *kinds: str) -> list[Any]:
+        """Return outputs of some types, or all that are numbers, and the time; of arrays elements.
+
+        Those of clocks are left out, as they have values at ticks only.
+        """
+        known = with_elements(self.fmpy).modelVariables
+        shown = [v for v in known if v.causality in ("output", "independent") and is_number(v)]
+        return [v for v in shown if not v.clocks and (not kinds or v.type in kinds)]
 
     def states(self) -> tuple[tuple[Described, Described], ...]:
         """Return every state with its derivative, in the order of the model structure.
@@ -276,6 +287,10 @@ class Session:
         self.instance.exitInitializationMode()
         if self.kind == "ModelExchange":
             self.next_event = enter_continuous_time(self.instance)
+
+    def access(self, variables: Sequence[Any]) -> Access:
+        """Return access to variables as fmpy describes them."""
+        return access_to(variables, self.instance, self.bench.fmpy)
 
     def values(self, variables: Sequence[Described]) -> Vector:
         """Return values of real variables, (n,)."""

@@ -12,8 +12,7 @@ from cosim.fmi.check.finding import TRIAL_RULES, Finding, Rule
 from cosim.fmi.check.parsed import Described
 from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, altered
 from cosim.fmi.run.arrays import Access, with_elements
-from cosim.fmi.run.instance import access_to
-from cosim.fmi.run.typed_values import is_number
+from cosim.fmi.run.typed_values import REALS
 from cosim.text import shortened
 
 _NOISE = 1e-9  # of an output in nominal values
@@ -24,8 +23,8 @@ _ROUNDING = 1e-6  # of a time
 def start(bench: Bench, kind: str) -> Iterator[Finding]:
     """It instantiates, initializes, and its outputs are finite then."""
     with bench.started(kind) as session:
-        outputs = bench.reals("output")
-        bad = ~np.isfinite(session.values(outputs))
+        outputs = bench.numbers(*REALS)
+        bad = ~np.isfinite(session.access(outputs).get())
         if bad.any():
             names = [v.name for v, b in zip(outputs, bad, strict=True) if b]
             yield TRIAL_RULES["no-start"].at(
@@ -238,7 +237,7 @@ def _settable(
         is_real = known.kind in ("Real", "Float64") and known.causality in causalities
         if is_real and (known.causality == "parameter" or known.variability == "continuous"):
             group = groups.get((known.kind, known.reference), [])
-            yield known, group, access_to(group, session.instance, bench.fmpy)
+            yield known, group, session.access(group)
 
 
 def few_numbers(session: Session, other: Session | None = None, *, started: bool = False) -> Vector:
@@ -249,7 +248,9 @@ def few_numbers(session: Session, other: Session | None = None, *, started: bool
     if not started:
         session.start()
     bench = session.bench
-    recorded = access_to(_recorded(bench), session.instance, bench.fmpy).get
+    if not (shown := bench.numbers()):
+        raise Skipped("it has no outputs that are numbers")
+    recorded = session.access(shown).get
     rows = [recorded()]
     if session.kind == "CoSimulation":
         size = bench.step_size(session.kind)
@@ -264,15 +265,6 @@ def few_numbers(session: Session, other: Session | None = None, *, started: bool
     return np.concatenate(rows).astype(float)
 
 
-def _recorded(bench: Bench) -> list[Any]:
-    """Return the outputs that are numbers, and the variable of the time; of arrays the elements."""
-    known = with_elements(bench.fmpy).modelVariables
-    chosen = [v for v in known if v.causality in ("output", "independent") and is_number(v)]
-    if not chosen:
-        raise Skipped("it has no outputs that are numbers")
-    return chosen
-
-
 def _near_slopes(
     session: Session, other: Session | None, recorded: Callable[[], list[Any]]
 ) -> Iterator[Any]:
@@ -281,7 +273,7 @@ def _near_slopes(
     states, rates = [state for state, _ in pairs], [rate for _, rate in pairs]
     if other is not None:
         other.put_states(moved(other.values(states)))
-        access_to(_recorded(other.bench), other.instance, other.bench.fmpy).get()
+        other.access(other.bench.numbers()).get()
     yield session.values(rates)
     yield recorded()
     session.put_states(moved(session.values(states)))
@@ -305,6 +297,6 @@ def _differing(bench: Bench, one: Vector, other: Vector) -> str:
     if len(one) != len(other):
         return "it ends at another time"
     at = int(np.flatnonzero((one != other) & ~(np.isnan(one) & np.isnan(other)))[0])
-    outputs = _recorded(bench)
+    outputs = bench.numbers()
     name = outputs[at % len(outputs)].name
     return f"first in {name}, {one[at]:.17g} and {other[at]:.17g}"

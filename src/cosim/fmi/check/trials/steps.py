@@ -28,6 +28,7 @@ from cosim.fmi.check.trials.bench import (
 )
 from cosim.fmi.check.trials.derivatives import need_model_exchange, offers_directional
 from cosim.fmi.check.trials.start import few_numbers, moved
+from cosim.fmi.run.typed_values import REALS
 from cosim.host.temporary import temporary_folder
 
 MOST_MADE = 1_000_000
@@ -46,11 +47,12 @@ def steps(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     """A million steps of 1/60 s, as far as the time allows, their ends summed up."""
     _needs_free_steps(bench, kind)
     end, made, looked = monotonic() + _FOR_STEPS * bench.timeout, 0, 0
-    stop, outputs, used = bench.experiment("stopTime"), bench.reals("output"), [memory_in_use()]
+    stop, used = bench.experiment("stopTime"), [memory_in_use()]
     with bench.started(kind) as session:
+        recorded = session.access(bench.numbers(*REALS)).get
         try:
             for made, time in enumerate(session.steps(SIZE, MOST_MADE), start=1):
-                if not np.isfinite(session.values(outputs)).all():
+                if not np.isfinite(recorded()).all():
                     yield TRIAL_RULES["not-finite"].at(kind, f"not finite at {time:.6g} s")
                     return
                 if made >= 2 * looked:
