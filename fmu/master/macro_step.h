@@ -92,7 +92,10 @@ SHARED void give_inputs(void *environment, double time, bool asks, bool readable
     Coupling *self = stepping.coupling;
     (void)environment, (void)readable, (void)finished, (void)may_return, (void)until;
     *stops = false;
-    if (asks && self) self->refused |= set_to_cubics(self, stepping.part, time - self->now.t);
+    if (!asks || !self) return;
+    /* where it has had an event, its own time may be off by rounding; its inputs are not */
+    const double since = same_time(self->system, time, self->now.t) ? 0 : time - self->now.t;
+    self->refused |= set_to_cubics(self, stepping.part, since);
 }
 
 /* Note by how much the outputs of a part differ from the cubics that they drive, within a step. */
