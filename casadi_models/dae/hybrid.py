@@ -74,6 +74,13 @@ class Hybrid:
         given = ca.vertcat(self.dae.z, *inputs)
         return tuple(ca.depends_on(relation.argument, given) for relation in self.relations)
 
+    def movers(self, relation: int) -> list[int]:
+        """Return the positions of inputs that may move its argument; unknowns may be of all."""
+        argument, inputs = self.relations[relation].argument, ca.vertsplit(self.dae.u)
+        every = ca.depends_on(argument, self.dae.z)
+        known = inputs[: len(inputs) - len(self.relations)]
+        return [i for i, one in enumerate(known) if every or ca.depends_on(argument, one)]
+
     @cached_property
     def resting(self) -> tuple[int, ...]:
         """Positions of the relations that rest where inputs do: nothing else moves them."""

@@ -19,6 +19,14 @@ static const char *relation_that_switched(const Instance *self, const Happening 
     return name;
 }
 
+/* Tell which relations slide by what inputs do. */
+static void log_sliding(const Instance *self) {
+    for (int i = 0; i < MODES; i++)
+        if (self->state.switching.state[i] == SLIDES && *relation_movers[i])
+            log_text(self, OK, "from %.17g s on, '%s' stays 0 by %s", self->state.values[TIME],
+                     relation_names[i], relation_movers[i]);
+}
+
 /* Tell what happened: the rules, or the relations of the equations that switched. */
 static void log_happening(Instance *self, const Happening *found) {
     const double t = self->state.values[TIME];
@@ -30,6 +38,7 @@ static void log_happening(Instance *self, const Happening *found) {
     if (found->ending.reason == STOPPED && found->ending.part >= 0)
         log_text(self, WARNING, "the run ends at %.12g s: %s", t,
                  rule_messages[found->ending.part]);
+    log_sliding(self);
 }
 
 /* -- the start -------------------------------------------------------------------------------- */
@@ -56,6 +65,7 @@ Status start_events(Instance *self) {
                       "later",
                       rule_messages[found.part]);
     warn_of_pulses(self);
+    log_sliding(self);
     return refuse_ending(self, ERROR, &found, NULL);
 }
 

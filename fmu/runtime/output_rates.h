@@ -158,6 +158,7 @@ static Status get_rates(Instance *self, const Reference references[], size_t cou
     forget_motion(self);
     const Status status = rates_at(self, references, count, orders, highest, values);
     memcpy(self->state.motion, motion, sizeof motion);
+    self->state.stale |= is_sliding_now(self) ? AFTER_START : 0; /* its modes follow from both */
     return status;
 }
 

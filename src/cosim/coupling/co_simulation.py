@@ -25,7 +25,6 @@ from cosim.coupling.estimate import (
     unreached,
 )
 from cosim.coupling.failures import (
-    STICKS,
     EndlessEvents,
     as_models,
     endless_part,
@@ -35,6 +34,7 @@ from cosim.coupling.failures import (
     sliding,
     violations,
 )
+from cosim.coupling.merged import sides_of
 from cosim.coupling.open_system import OpenSystem, Rows
 from cosim.coupling.opened_part import Ability, OpenedPart
 from cosim.coupling.own_steps import own_steps
@@ -164,9 +164,14 @@ class CoSimulation:
         return run
 
     def _sticking_part(self) -> str | None:
-        """Return a part that can merge and says that it has stayed at 0; None if none does."""
-        known = (name for name, can_merge in self._sticking.items() if can_merge)
-        return next((n for n in known if STICKS in str(self.parts[n].instance.log_texts)), None)
+        """Return a part with a relation that has stayed 0 by parts that feel it; None without."""
+        found = (
+            name
+            for name, part in self.parts.items()
+            for inputs in part.instance.sliding.values()
+            if len(sides_of(self.wiring.connections, name, inputs)) > 1
+        )
+        return next(found, None)
 
     def opened(
         self,

@@ -13,8 +13,7 @@ from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
 from cosim.text import Violation
 
-STICKS = "while an expression slides along 0"  # in messages of FMUs made here, as "(Zeno)" is
-_ENDLESS = ("(Zeno)", STICKS)
+_ENDLESS = ("(Zeno)", "while an expression slides along 0")  # in messages of FMUs made here
 _AT_ONCE, _NEAR = 1e-12, 1e-3  # distances of times, of the time since the start
 _SOON = 8  # macro steps between events of parts that slide on each other
 _LEVELS = ("floor", "ceil", "fmod", "remainder")  # of relations that may go on in one direction

@@ -1,6 +1,6 @@
 """`Merged`: parts that slide on each other, simulated as one part of their system."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any
@@ -17,19 +17,28 @@ from cosim.trajectory import Trajectory
 Name = tuple[str, str]  # part and variable
 
 
-def sliding_parts(
-    parts: Mapping[str, Part], connections: Sequence[Connection], holder: str
-) -> tuple[str, ...]:
-    """Return the parts that hold the two sides of a relation; none if these are no two models.
+def sides_of(
+    connections: Sequence[Connection], holder: str, inputs: Collection[str] | None = None
+) -> set[str]:
+    """Return the parts that hold the two sides of a relation.
 
     Args:
-        parts, connections: Of the system.
+        connections: Of the system.
         holder: The part whose relation it is; what drives this part moves the other side.
+        inputs: Those of it that move the relation; all when None.
     """
     feeling = {holder}
     while more := {w.input[0] for w in connections if w.output[0] in feeling} - feeling:
         feeling |= more
-    sides = {holder} | {w.output[0] for w in connections if w.input[0] == holder} & feeling
+    moving = (w for w in connections if w.input[0] == holder)
+    return {holder} | {w.output[0] for w in moving if not inputs or w.input[1] in inputs} & feeling
+
+
+def sliding_parts(
+    parts: Mapping[str, Part], connections: Sequence[Connection], holder: str
+) -> tuple[str, ...]:
+    """Return the parts that hold the two sides of a relation; none if these are no two models."""
+    sides = sides_of(connections, holder)
     known = all(isinstance(parts[name].subject, Dae) for name in sides)
     return tuple(sorted(sides)) if known and len(sides) > 1 else ()  # in any order the same bits
 

@@ -100,8 +100,11 @@ def _event_tables(plan: Plan) -> str:
     sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
     moving = sampled - {*known.followed} | {*known.given}
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
+    inputs = [variable.name for variable in plan.variables if variable.role is Role.INPUT]
+    movers = map(system.movers, range(len(system.relations)))
     texts: dict[str, Sequence[str | None]] = {
         "relation_names": [system.described(i) for i in range(len(system.relations))],
+        "relation_movers": [", ".join(inputs[k] for k in own) for own in movers],
         "rule_names": [event.name for event in system.events],
         "rule_messages": [event.message or None for event in system.events],
     }

@@ -31,6 +31,7 @@ _CLOSER = "a singularity, or more steps than one call allows: closer output time
 _MOST_UPDATES = 1000  # of discrete states at one instant
 _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
+_SLIDES = re.compile(r": from \S+ s on, '(.+)' stays 0 by (.+)$")
 _LEFT = re.compile(r": invalid from (\S+) s: (.+)$")  # of these, too
 _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "getContinuousStateDerivatives": "getDerivatives",
@@ -138,6 +139,7 @@ def instantiated(
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
     log, events, violations = list[str](), list[tuple[float, str]](), Violations()
+    sliding = dict[str, list[str]]()
 
     def collect(*arguments: Any) -> None:
         """Keep the message, the last argument in every version of the FMI, unless all is well."""
@@ -149,6 +151,8 @@ def instantiated(
                 violations.note(Violation(float(left[1]), left[2]))
         elif event := _EVENT.search(words):
             events.append((float(event[1]), event[2]))
+        elif slides := _SLIDES.search(words):
+            sliding[slides[1]] = slides[2].split(", ")
 
     def explained(error: Exception) -> FmuError:
         reason = _OF_CVODE.sub("CVODE: ", str(error)).removesuffix(".") or type(error).__name__
@@ -169,7 +173,7 @@ def instantiated(
             raise explained(error) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
-        instance.violations = violations
+        instance.violations, instance.sliding = violations, sliding
         yield instance, explained
 
 

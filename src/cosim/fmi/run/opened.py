@@ -204,8 +204,9 @@ class OpenedFmu:
                 self._drop()
                 raise explained(error) from error
         instance, explained = self._instance
-        for texts in (instance.logged_events, instance.log_texts, instance.violations):
-            texts.clear()
+        logs = instance.logged_events, instance.log_texts, instance.violations, instance.sliding
+        for each in logs:
+            each.clear()
         return instance, explained
 
     def _drop(self) -> None:
