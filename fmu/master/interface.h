@@ -266,12 +266,13 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     }
     const long long m = system->inputs;
     for (long long k = 0; k < m; ++k) {
+        const double last = at->r[k];
         at->r[k] = system->held[k] ? 0 : system->factor[k] * self->y[system->source[k]];
         if (isfinite(at->r[k])) continue;
-        self->guessed = 1;
-        at->r[k] = rate_of_values(self, at, k); /* which holds what passes through loops */
+        self->guessed = 1; /* by values, which hold what passes through loops; first by the past */
+        at->r[k] = self->rateless && at == &self->now ? last : rate_of_values(self, at, k);
         memset(self->gain + k * m, 0, (size_t)m * sizeof *self->gain);
-        if (self->rateless && at != &self->now) self->now.r[k] = at->r[k];
+        if (self->rateless && at != &self->now && !self->looks) self->now.r[k] = at->r[k];
     }
     return self->feedthrough && through_loops(self, at->r) ? LOOP_UNSOLVED : DONE;
 }

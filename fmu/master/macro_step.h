@@ -150,21 +150,24 @@ static inline int part_passes_event(Coupling *self, Part *part) {
 static inline int step_through(Coupling *self, Part *part, double from, double to) {
     const double begin = self->now.t;
     double t = from;
+    int alone = 0; /* whether an event is by inputs that the part holds: others do not see it */
     for (int standstills = 0; standstills < MOST_UPDATES && !halted; ++standstills) {
-        if (drive(self, part, t - begin, to - t)) return PART_FAILED;
+        if (!alone && drive(self, part, t - begin, to - t)) return PART_FAILED;
         self->refused = 0;
         stepping.coupling = self;
         stepping.part = part;
         int how = part_step(&self->fmu, part, t, part->own_step > 0 ? part->own_step : to - t);
         stepping.coupling = NULL;
-        const int passes =
-            !self->ends_at_events && !same_time(self->system, part->reached, self->next.t);
+        alone = how == AT_EVENT && part->order == 0 &&
+                !same_time(self->system, part->reached, part->next_event);
+        const int passes = alone || (!self->ends_at_events &&
+                                     !same_time(self->system, part->reached, self->next.t));
         if (how == AT_EVENT && passes) how = part_passes_event(self, part);
         if (how != STEPPED) return how;
         if (self->refused) return PART_FAILED;
         if (!same_time(self->system, part->reached, t)) standstills = 0;
         t = part->reached;
-        if (t >= to || same_time(self->system, t, to)) return STEPPED;
+        if (t >= to || (!alone && same_time(self->system, t, to))) return STEPPED;
     }
     failed(&self->fmu, "the iteration of events at one instant", FAILED);
     return PART_FAILED;

@@ -15,7 +15,9 @@ from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths
 from cosim.coupling.c_structures import coupling_library
 from cosim.coupling.estimate import (
+    BY_CHANCE,
     OF_A_RUN,
+    UNKNOWN,
     changes,
     estimated_error,
     frozen_motion,
@@ -239,7 +241,7 @@ class CoSimulation:
                     partial=last,
                 ) from error
             if "forced_steps" in run.stats:
-                return self._forced(run, settings.accuracy)
+                return _unless_required(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
             unseen = rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
@@ -247,8 +249,8 @@ class CoSimulation:
                 change = changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
                 reject_noise(run, fixed, accuracy, before, most, unseen)
-                ordered = smooth and not any(p.instance.logged_events for p in self.parts.values())
-                estimate = estimated_error(most, before, ratio, accuracy, of_parts, ordered=ordered)
+                least = self._least(ordered=smooth)
+                estimate = estimated_error(most, before, ratio, accuracy, of_parts, least=least)
                 estimate += unseen
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
@@ -269,6 +271,13 @@ class CoSimulation:
             tolerance = max(tolerance * tighter, least)
         raise unreached(run, accuracy, f"the last two runs differ by {estimate:.2g} ({of})")
 
+    def _least(self, *, ordered: bool) -> float:
+        """Return how much of the error a smaller tolerance leaves at least, after a run."""
+        switching = [p for p in self.parts.values() if p.event_mode or p.instance.logged_events]
+        if any(part.holds_inputs for part in switching):
+            return BY_CHANCE
+        return 0.0 if ordered and not any(p.instance.logged_events for p in switching) else UNKNOWN
+
     def _may_round(self) -> Truths:
         """Return whether each input is driven by a continuous output of a foreign part."""
         own = [self.parts[name].is_own for name, _ in self.wiring.sources]
@@ -281,23 +290,6 @@ class CoSimulation:
         settings = replace(task.settings, macro_step=length, interval=length, accuracy=None)
         held = replace(task, settings=replace(settings, method=Method.JACOBI, stop=stop))
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
-
-    def _forced(self, run: Trajectory, accuracy: float | None) -> Trajectory:
-        """Return a run whose macro steps could not be as short as its tolerance wants them.
-
-        Raises:
-            SolverError: An accuracy is required.
-        """
-        forced, every = run.stats["forced_steps"], run.stats["macro_steps"]
-        fixed = (n for n, part in self.parts.items() if part.internal_step or not part.any_step)
-        reason = (
-            f"the steps of {', '.join(fixed)} have a fixed length, which is too long in {forced} "
-            f"of {every} macro steps"
-        )
-        if accuracy is None:
-            note = one_note(run.stats.get("note"), reason)
-            return replace(run, stats={**run.stats, "note": note})
-        raise unreached(run, accuracy, reason)
 
     def _once(
         self, task: _Task, tolerance: float, of_parts: float, share: float = 1.0
@@ -420,7 +412,7 @@ class CoSimulation:
         logged = [
             (time, f"{name}: {event}")
             for name, part in self.parts.items()
-            if part.event_mode
+            if part.event_mode and not part.holds_inputs
             for time, event in part.instance.logged_events
         ]
         return tuple(Event(time, name, {}, {}) for time, name in sorted(logged))
@@ -455,6 +447,13 @@ class CoSimulation:
             own = [v for v in part.description.modelVariables if v.causality == "output"]
             found[name] = list(dict.fromkeys(numeric_names([*own, *part.inputs])))
         return found
+
+
+def _unless_required(run: Trajectory, accuracy: float | None) -> Trajectory:
+    """Return a run that notes what keeps it from its tolerance; an error if that is required."""
+    if accuracy is None:
+        return run
+    raise unreached(run, accuracy, run.stats["note"])
 
 
 def _tolerance_of_parts(tolerance: float) -> float:

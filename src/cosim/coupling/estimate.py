@@ -11,7 +11,8 @@ from cosim.errors import SolverError, UsageError
 from cosim.trajectory import Trajectory
 
 _FALLS = 0.75  # power of the tolerance with which the error falls; less is on the safe side
-_UNKNOWN = 0.5  # how much of the error is left if no order is known
+UNKNOWN = 0.5  # how much of the error is left if no order is known
+BY_CHANCE = 0.75  # the same for events that are found by steps with constant inputs
 _ROUNDED = 1e-12  # of what is constant and passes through loops, of its size
 _FEW_STEPS = (1, 4)  # the second shows what the start does not
 _LONGEST = 0.097  # step that shows noise, of the span; no grid of a part fits it and its halves
@@ -20,7 +21,7 @@ OF_A_RUN = 10.0  # usual error of a part's run, in tolerances of its steps
 
 
 def estimated_error(
-    change: float, before: float, ratio: float, accuracy: float, of_parts: float, *, ordered: bool
+    change: float, before: float, ratio: float, accuracy: float, of_parts: float, *, least: float
 ) -> float:
     """Return the error of the second of two runs in succession, in nominal values.
 
@@ -30,13 +31,13 @@ def estimated_error(
         ratio: Of their tolerances, below 1.
         accuracy: The largest error that is allowed.
         of_parts: Tolerance of the parts' solvers, which no agreement of two runs shows.
-        ordered: Whether the method has its order: without it, the error is at least as large as the
-            change.
+        least: How much of the error is left at least; 0 if the method has its order.
     """
-    falls: float = min(ratio, 0.8) ** _FALLS
-    left = falls if ordered else max(falls, _UNKNOWN)
+    left: float = max(min(ratio, 0.8) ** _FALLS, least)
+    if least == BY_CHANCE:  # no agreement shows more than the order of such events
+        change = max(change, before * ratio**0.5)
     if change > accuracy:  # the order counts if it has been observed
-        observed = min(change / before, _UNKNOWN) if before else _UNKNOWN
+        observed = min(change / before, UNKNOWN) if before else UNKNOWN
         left = max(left, observed)
     return change * left / (1 - left) + OF_A_RUN * of_parts
 

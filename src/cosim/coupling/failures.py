@@ -127,6 +127,11 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
+    if system.quantum and system.forced:
+        long = ", ".join(n for n, p in wiring.parts.items() if p.internal_step or not p.any_step)
+        notes.append(
+            f"the steps of {long} have a fixed length, too long in {system.forced} {every}"
+        )
     for name, part in wiring.parts.items() if not system.macro_step else ():
         if part.only_step and not part.any_step and part.holds_inputs:
             step = f"its only step, {part.only_step:g} s"
