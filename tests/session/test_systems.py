@@ -4,6 +4,7 @@ import random
 from dataclasses import replace
 from math import exp
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.detours import detour, straight
@@ -394,3 +395,26 @@ def test_solver_is_that_of_the_parts(files):
         cosim.open(lags(files), solver="cvodes")
     with pytest.raises(UsageError, match="leave macro_step out"):
         cosim.open(lags(files), accuracy=1e-6, macro_step=STEP)
+
+
+def test_a_session_says_that_its_error_has_no_estimate_and_what_limits_it(tmp_path):
+    """A wheel of 0.4 kg m2 sticks to a driven one of 5, which no macro step follows exactly."""
+    fast, slow = cosim.Model("fast", stop_time=1.0), cosim.Model("slow", stop_time=1.0)
+    w, torque = fast.state("w", "rad/s", 0.16, "speed"), fast.input("T", "N.m", 0.0, "torque")
+    fast.derivative(w, (torque - 1.5) / 5)
+    own, other = slow.state("w", "rad/s", 0.0, "speed"), slow.input("u", "rad/s", 0.0, "speed")
+    slow.derivative(own, 2.5 * ca.sign(other - own) / 0.4)
+    slow.output("R", "N.m", -2.5 * ca.sign(other - own), "reaction")
+    parts = {
+        "a": fast.freeze(),
+        "b": str(cosim.export_fmu(slow.freeze(), tmp_path / "b.fmu", fmi=3)),
+    }
+    system = cosim.couple(parts, {"a.T": "b.R", "b.u": "a.w"})
+    with cosim.open(system, macro_step=0.1) as session:
+        alone = "the error of the coupling is not estimated: no second run checks the macro steps"
+        assert session.note == alone
+        session.advance(to=1.0)
+        assert session.note.startswith(f"{alone}; ")
+        assert "a relation of part 'b' slides along 0" in session.note
+        session.reset()
+        assert session.note == alone

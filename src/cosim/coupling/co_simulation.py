@@ -150,7 +150,7 @@ class CoSimulation:
                 run, ranges = self._accurate(task), None
             else:
                 run, _, ranges = given(step, merges)
-                part = self._sticking_part() or sliding_part(
+                part = self.sticking_part() or sliding_part(
                     ranges, lambda share: given(share * step, True)[2]
                 )
             slides = sliding(self.wiring, part) if part else None
@@ -165,7 +165,7 @@ class CoSimulation:
                 reject_instability(run, ranges, inputs, lambda shorter: given(shorter, merges)[2])
         return run
 
-    def _sticking_part(self) -> str | None:
+    def sticking_part(self) -> str | None:
         """Return a part with a relation that has stayed 0 by parts that feel it; None without."""
         found = (
             name

@@ -17,7 +17,8 @@ from cosim.arrays import Vector
 from cosim.coupling.c_structures import coupling_library
 from cosim.coupling.co_simulation import DEFAULT_ACCURACY
 from cosim.coupling.connectors import Connector, End
-from cosim.coupling.failures import failure, violations
+from cosim.coupling.failures import failure, sliding, violations
+from cosim.coupling.failures import notes_of as coupling_notes
 from cosim.coupling.opened_part import OpenedPart, explained
 from cosim.coupling.own_steps import is_multiple
 from cosim.coupling.settings import Settings
@@ -38,6 +39,7 @@ from cosim.session.linearizer import LinearSystem
 from cosim.session.part_states import PartStates
 from cosim.session.saved import ClockFacts, notes_of, packed, take_notes, unpacked
 from cosim.session.values import LARGEST, finite, may_change, not_settable, sequence_by_name
+from cosim.text import one_note
 from cosim.trajectory import Event
 
 
@@ -142,6 +144,14 @@ class SystemSession(Life):
         """The first validity condition that a step violated, and since when; None if none did."""
         found = violations(self._instances.wiring)
         return min(found, key=attrgetter("time"), default=None)
+
+    @property
+    def note(self) -> str:
+        """That the error of the coupling has no estimate, and what is known to limit it."""
+        wiring, part = self._instances.wiring, self._instances.sticking_part()
+        told = "the error of the coupling is not estimated: no second run checks the macro steps"
+        slides = sliding(wiring, part) if part else None
+        return one_note(told, *coupling_notes(self._run.c, wiring), slides)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs; see `Session.advance`."""
