@@ -167,13 +167,9 @@ class CoSimulation:
 
     def sticking_part(self) -> str | None:
         """Return a part with a relation that has stayed 0 by parts that feel it; None without."""
-        found = (
-            name
-            for name, part in self.parts.items()
-            for inputs in part.instance.sliding.values()
-            if len(sides_of(self.wiring.connections, name, inputs)) > 1
-        )
-        return next(found, None)
+        wires, parts = self.wiring.connections, self.parts.items()
+        slides = ((name, inputs) for name, p in parts for inputs in p.instance.sliding.values())
+        return next((n for n, inputs in slides if len(sides_of(wires, n, inputs)) > 1), None)
 
     def opened(
         self,

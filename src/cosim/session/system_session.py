@@ -149,9 +149,9 @@ class SystemSession(Life):
     def note(self) -> str:
         """That the error of the coupling has no estimate, and what is known to limit it."""
         wiring, part = self._instances.wiring, self._instances.sticking_part()
-        told = "the error of the coupling is not estimated: no second run checks the macro steps"
+        known = "the error of the coupling is not estimated: no second run checks the macro steps"
         slides = sliding(wiring, part) if part else None
-        return one_note(told, *coupling_notes(self._run.c, wiring), slides)
+        return one_note(known, *coupling_notes(self._run.c, wiring), slides)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs; see `Session.advance`."""
