@@ -21,9 +21,11 @@ from cosim.errors import (
     UsageError,
     naming_arguments,
 )
+from cosim.model.inputs import InputSeries
 from cosim.text import readable
 
 DAE = decay()
+RAMP = InputSeries(("force",), [0.0, 1.0], [[0.0], [1.0]])
 RUN = cosim.simulate(DAE, stop_time=0.1, compiled=False)
 NO_MODEL = ["decay", None, 3, RUN, type(DAE)]
 NO_RUN = ["run.csv", None, 3, DAE, np.ones(3)]
@@ -155,6 +157,8 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"start_values": {"x": "one"}}, "x: 'one' is not a number with a unit"),
         ({"start_values": {"x": "1deg"}}, "'deg' cannot be converted to 'm'"),
         ({"inputs": {"force": 1.0}, "start_values": {"force": 2}}, "force is given twice"),
+        ({"inputs": {"force": "t"}, "start_values": {"force": 2}}, "force is given twice"),
+        ({"inputs": RAMP, "start_values": {"force": 2}}, "force is given twice"),
         ({"stop_when": "x > "}, "stop_when: 'x > ' is no formula"),
         ({"stop_when": "x"}, "'x' is no condition; compare two values"),
         ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is not understood"),

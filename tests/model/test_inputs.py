@@ -9,6 +9,7 @@ from cosim.codegen import compiler
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.driving import driven, followed, with_tables
 from cosim.model.inputs import InputSeries, read_inputs
+from cosim.study.sweep.subject import ModelSubject
 
 INERTIA = 0.2 * 14.593902937206364 * 0.3048**2 / 12  # slender bar about its middle, kg.m2
 # A pulse whose corners lie between the output times, and a ramp that does not end
@@ -161,6 +162,27 @@ def test_outputs_that_feel_an_input_at_once_follow_it_on_both_backends(bar, tmp_
     for interface in ("ModelExchange", "CoSimulation"):
         again = run_of_file(path, interface)
         np.testing.assert_allclose(again["t2_G_F"], torque, rtol=0, atol=1e-12)
+
+
+def test_values_end_the_series_of_the_request_that_they_are_given_to(bar):
+    # A constant torque turns a free bar by T2 t^2 / (2 I); many runs begin a request with others
+    request = cosim.requested(bar, inputs=SERIES, start_values=FREE, stop_time=1.0)
+    torques = np.array([0.0, 0.03])
+    exact = 0.2 + torques / (2 * INERTIA)
+    keywords = {"outputs": ["theta"], "relative_tolerance": 1e-10}
+    one = [cosim.simulate(request, start_values={"T2": t}, **keywords) for t in torques]
+    np.testing.assert_allclose([run.final["theta"] for run in one], exact, rtol=0, atol=1e-8)
+    many = cosim.simulate_many(request, {"T2": torques}, **keywords)
+    np.testing.assert_allclose(many["theta"][:, -1], exact, rtol=0, atol=1e-8)
+    swept = cosim.sweep(ModelSubject(request), {"T2": torques}, **keywords)
+    np.testing.assert_allclose(swept["theta_final"], exact, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("inputs", [SERIES, {"T2": 0.03}, {"T2": "0.1*t"}])
+def test_value_of_an_input_that_the_same_call_drives_is_rejected(bar, inputs):
+    for simulate, torque in (cosim.simulate, 1.0), (cosim.simulate_many, [1.0, 2.0]):
+        with pytest.raises(UsageError, match=r"^bar_on_frame/reduced: T2 is given twice; "):
+            simulate(bar, inputs=inputs, start_values={"T2": torque}, stop_time=0.1)
 
 
 def test_fmu_without_such_an_input_says_so(bar, tmp_path):

@@ -2,7 +2,7 @@
 
 import argparse
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -73,33 +73,30 @@ def with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     numbers = start_numbers(args, request.dae) if "values" in args else {}
     if not numbers:
         return request
-    varying = {variable.name for variable in request.dae.inputs} - numbers.keys()
     values = overriding(request.dae, request.values, numbers)
-    return replace(request, values=values, inputs=request.inputs and request.inputs.only(varying))
+    return replace(request.without_series(numbers), values=values)
 
 
 def _with_inputs(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     """Return a request whose inputs have the formulas and time series of a command line."""
-    if laws := laws_in(args):
-        names = {name for name, _ in laws}
-        dae = with_laws(request.dae, tuple(laws))
-        left = {variable.name for variable in dae.inputs}
-        values = {name: value for name, value in request.values.items() if name not in names}
-        inputs = request.inputs and request.inputs.only(left)
-        request = replace(request, dae=dae, values=values, inputs=inputs)
-    if (path := getattr(args, "input_file", None)) is not None:
-        series = read_inputs(path, request.dae)
-        values = {n: v for n, v in request.values.items() if n not in series.names}
-        request = replace(request, inputs=series, values=values)
-    return request
+    laws, path = laws_in(args), getattr(args, "input_file", None)
+    if not laws and path is None:
+        return request
+    series = None if path is None else read_inputs(path, request.dae)
+    driven = [*dict(laws), *(() if series is None else series.names)]
+    _each_once([*((name, "") for name in driven), *start_texts(args)])
+    dae = with_laws(request.dae, tuple(laws)) if laws else request.dae
+    values = {name: value for name, value in request.values.items() if name not in driven}
+    request = request.without_series(driven)
+    return replace(request, dae=dae, values=values, inputs=series or request.inputs)
 
 
 def laws_in(args: argparse.Namespace) -> list[tuple[str, str]]:
     """Return the names of inputs with the formulas of `--input`."""
-    return [*assigned("--input", getattr(args, "laws", ()), "FORMULA")]
+    return assigned("--input", getattr(args, "laws", ()), "FORMULA")
 
 
-def assigned(option: str, items: Iterable[str], form: str) -> Iterator[tuple[str, str]]:
+def assigned(option: str, items: Iterable[str], form: str) -> list[tuple[str, str]]:
     """Return the names and texts of an option whose values are written as NAME=TEXT."""
     pairs = list[tuple[str, str]]()
     for item in items:
@@ -136,7 +133,7 @@ def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:
     if len(words) % 2:
         raise UsageError(f"--start-values: '{words[-1]}' has no value; give NAME VALUE pairs")
     pairs = zip(words[::2], words[1::2], strict=True)
-    return [*_each_once([*pairs, *assigned("-p", args.values, "VALUE[UNIT]")])]
+    return _each_once([*pairs, *assigned("-p", args.values, "VALUE[UNIT]")])
 
 
 def start_numbers(args: argparse.Namespace, dae: Dae | None) -> dict[str, float]:
@@ -149,13 +146,13 @@ def start_values_of_fmu(args: argparse.Namespace) -> dict[str, Any]:
     return {name: value_of_fmu(name, text) for name, text in start_texts(args)}
 
 
-def _each_once(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+def _each_once(pairs: list[tuple[str, str]]) -> list[tuple[str, str]]:
     names = set[str]()
-    for name, text in pairs:
+    for name, _ in pairs:
         if name in names:
             raise UsageError(f"{name} is given twice; give it once")
         names.add(name)
-        yield name, text
+    return pairs
 
 
 def value_of(dae: Dae | None, name: str, text: str) -> float:

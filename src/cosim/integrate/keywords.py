@@ -1,6 +1,6 @@
 """`requested`: build a `RunRequest` from the keywords of `cosim.simulate`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
@@ -99,8 +99,8 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
     if isinstance(given.get("accuracy"), str):
         given["accuracy"] = _accuracy(dae, given["accuracy"], outputs)
     values = {**request.values, **_plain(dae, given.get("start_values")), **settled.constants}
-    if twice := settled.constants.keys() & (given.get("start_values") or {}).keys():
-        raise UsageError(f"{dae.full_name}: {min(twice)} is given twice; give it once")
+    starts = given.get("start_values")
+    reject_twice(dae.full_name, given.get("inputs"), starts, settled.constants)
     policy = {name: given[name] for name in _POLICY if name in given}
     found = RunRequest(
         dae,
@@ -118,7 +118,14 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
             )
     if isinstance(found.solver, Goal) and found.policy.drift_control is not None:
         raise _overruled(next(name for name in _GOAL if name in given), "drift_control")
-    return found
+    return found.without_series(starts or ())
+
+
+def reject_twice(owner: str, inputs: Any, starts: Any, constants: Iterable[str] = ()) -> None:
+    """Reject start values of what the inputs of the same call set: one of both would be lost."""
+    driven = {*getattr(inputs, "names", inputs or ()), *constants}
+    if isinstance(starts, Mapping) and (twice := driven & starts.keys()):
+        raise UsageError(f"{owner}: {min(twice)} is given twice; give it once")
 
 
 def _times(times: Times, given: dict[str, Any]) -> Times:

@@ -1,7 +1,7 @@
 """`RunRequest`: what to simulate, as one value that is independent of the backend."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -157,6 +157,11 @@ class RunRequest:
     def max_step(self) -> float | None:
         """Longest step of the solver, s; None if the request sets none."""
         return getattr(self.solver, "max_step", None)
+
+    def without_series(self, names: Collection[str]) -> "RunRequest":
+        """Return the request without the time series of inputs that get values."""
+        varying = {variable.name for variable in self.dae.inputs}.difference(names)
+        return replace(self, inputs=self.inputs and self.inputs.only(varying))
 
     def reduced(self) -> "RunRequest":
         """Return the request with the model reduced to what outputs and stop condition require."""
