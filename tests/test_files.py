@@ -63,6 +63,32 @@ def test_device_is_written_to_and_not_replaced():
     assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
 
 
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no file has the names of descriptors")
+def test_pipe_that_a_link_stands_for_is_written_to():
+    reading, writing = os.pipe()  # as /dev/stdout is in `cosim ... -o /dev/stdout | cat`
+    try:
+        reject_unwritable(f"/dev/fd/{writing}")
+        write_atomically(f"/dev/fd/{writing}", b"1")
+        assert os.read(reading, 9) == b"1"
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+@pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), reject_unwritable])
+def test_file_that_is_read_only_is_not_replaced(tmp_path, monkeypatch, act):
+    # as for every user but root, who may write to it
+    monkeypatch.setattr(os, "access", lambda path, _: bool(Path(path).stat().st_mode & 0o200))
+    target = tmp_path / "a.csv"
+    target.write_bytes(b"old")
+    target.chmod(0o444)
+    with pytest.raises(ExportError, match=r"cannot write .*a\.csv: Permission denied"):
+        act(target)
+    assert target.read_bytes() == b"old"
+    target.chmod(0o644)
+    act(target)
+
+
 @pytest.mark.parametrize("act", [lambda path: write_atomically(path, b"1"), reject_unwritable])
 @pytest.mark.parametrize(
     ("name", "reason"),

@@ -123,6 +123,10 @@ def _place(target: str | os.PathLike[str]) -> Path:
     place = Path(os.path.realpath(target))
     if place.is_dir():
         raise ExportError(f"cannot write {target}: it is a directory; give a file name")
+    if not place.exists() and Path(target).exists():
+        return Path(target)  # /dev/stdout as a pipe, which has no name
+    if place.exists() and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     return place
 
 
