@@ -67,7 +67,8 @@ MOST_OUTPUT = 10_000  # bytes of what a confined child prints
 PATH = "COSIM_PATH"  # where a child that is not confined looks for modules at last
 ENVIRONMENT = (
     *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
-    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", LIMITS_VARIABLE),
+    *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", "XDG_CACHE_HOME", "LOCALAPPDATA"),
+    LIMITS_VARIABLE,
 )
 
 
@@ -213,6 +214,8 @@ def _variables(folder: Path | None) -> dict[str, str]:
         return os.environ | {PATH: os.pathsep.join(p or str(Path.cwd()) for p in sys.path)}
     own = {name: str(folder / "temporary") for name in ("TMPDIR", "TEMP", "TMP")}
     own["OPENBLAS_NUM_THREADS"] = "1"  # whose threads reserve memory
+    if cache := os.environ.get("COSIM_CACHE"):
+        own["COSIM_CACHE"] = str(Path(cache).absolute())
     return {name: os.environ[name] for name in ENVIRONMENT if name in os.environ} | own
 
 

@@ -157,6 +157,15 @@ def test_a_child_sees_few_variables_of_the_environment(bad, monkeypatch):
     assert "SECRET_TOKEN" not in seen
 
 
+def test_a_child_has_the_cache_of_its_parent(bad, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("COSIM_CACHE", "own")
+    run_apart(bad, output_interval=0.1, stop_time=0.1)
+    assert not (tmp_path / "home").exists()
+    assert (tmp_path / "own").is_dir()
+
+
 @pytest.mark.slow
 def test_crosscheck_goes_on_after_a_crash(bad, tmp_path):
     path = tmp_path / "proven.fmu"
