@@ -433,6 +433,12 @@ def test_a_script_without_guard_uses_processes_and_loses_only_its_deadly_run(tmp
 
 
 @pytest.mark.slow
+def test_program_without_standard_streams_sweeps(growth, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)  # as in a program with windows
+    x = cosim.sweep(growth, {"rate": [0.0, 0.5]}, workers=0)["x_final"]
+    np.testing.assert_allclose(x, [1.0, 2.0], rtol=1e-6)  # 1 / (1 - rate t)
+
+
 def test_sweep_prints_as_a_summary():
     keep = ["max(T)", "first(phi, 1)", lambda run: {"turns": 2.0}]
     found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=keep, stop_time=0.1, workers=0)

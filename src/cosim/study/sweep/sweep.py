@@ -2,6 +2,7 @@
 
 import os
 import platform
+import sys
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -340,7 +341,8 @@ def _fill(
         total=total,
         initial=total - sum(count for _, count in left),
         unit=" runs",
-        disable=None if progress is None else not progress,  # None: if stderr is no terminal
+        # where stderr is no terminal; programs with windows have none
+        disable=sys.stderr is None or (None if progress is None else not progress),
     )
     computing = _computed(job, layout.samples, left, scheduler, workers or processors())
     try:
