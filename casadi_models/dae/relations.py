@@ -270,12 +270,7 @@ def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
         SX(function.sparsity_in(i), nonzeros[begin:end])
         for i, (begin, end) in enumerate(pairwise(ends))
     ]
-    return [row for result in function.call(given) for row in _nonzeros(result)]
-
-
-def _nonzeros(matrix: SX) -> list[SX]:
-    """Return the nonzeros of a sparse matrix, column by column."""
-    return ca.vertsplit(matrix.nz[:]) if matrix.nnz() else []
+    return [row for result in function.call(given) for row in ca.vertsplit(result.nz[:])]
 
 
 def applied(code: int, terms: Sequence[SX]) -> SX:

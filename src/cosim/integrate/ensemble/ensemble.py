@@ -273,7 +273,7 @@ class Ensemble:
         for first in range(0, len(plain), size):
             some = plain[first : first + size]
             found = curves(
-                partial(_some_again, again, some),
+                partial(lambda some, times, runs: again(times, some[runs]), some),
                 [Rows(self.time, self.values[i]) for i in some],
                 [int(self.steps[i]) for i in some],
                 float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
@@ -326,12 +326,6 @@ class Ensemble:
         coordinates = {"time": ("time", self.time, {"units": "s"}), **given}
         dataset: xr.Dataset = xarray.Dataset(variables, coordinates, {"model": self.model})
         return dataset
-
-
-def _some_again(
-    again: Callable[[Vector, Integers], Vector], some: Integers, times: Vector, runs: Integers
-) -> Vector:
-    return again(times, some[runs])
 
 
 def varied_rows(varied: Mapping[str, Vector], units: Mapping[str, str]) -> list[dict[str, Any]]:

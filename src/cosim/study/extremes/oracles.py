@@ -126,14 +126,6 @@ def _crank(case: Case, run: Trajectory) -> float:
     )
 
 
-def _at_rest(case: Case, run: Trajectory) -> float:
-    return float(np.abs(run["theta"] - case.values["theta"]).max())
-
-
-def _upright(_: Case, run: Trajectory) -> float:
-    return _largest(np.abs(run[name]).max() for name in ("phi", "delta", "psi", "yP"))
-
-
 def _energy(_: Case, run: Trajectory) -> float:
     return _relative(run["energy"], run["energy"][0], float(run["kinetic_energy"].max()))
 
@@ -189,14 +181,14 @@ def _reference(
 
 
 ORACLES: dict[str, Callable[[Case, Trajectory], float]] = {
-    "at_rest": _at_rest,
+    "at_rest": lambda case, run: float(np.abs(run["theta"] - case.values["theta"]).max()),
     "bicycle": _bicycle,
     "crank": _crank,
     "energy": _energy,
     "jacobi": _jacobi,
     "power": _power,
     "reference": _against_reference,
-    "upright": _upright,
+    "upright": lambda _, run: _largest(abs(run[n]).max() for n in ("phi", "delta", "psi", "yP")),
 }
 
 

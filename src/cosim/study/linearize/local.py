@@ -1,8 +1,8 @@
 """The equations that a run follows at a state, and their derivatives."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import casadi as ca
@@ -71,7 +71,8 @@ def local_system(
     knowns = [v.name for v in (*dae.states, *dae.inputs)]
     unknowns = [*(f"{v.name}_dot" for v in dae.states), *names]
     reject_no_number(dae.full_name, jacobian[:, :n], unknowns, knowns, point)
-    for places in _sides(edges):
+    sizes = sorted({1, 2, len(edges)})  # how many relations at 0 are on their other side
+    for places in chain.from_iterable(combinations(edges, size) for size in sizes):
         other = u.copy()
         other[[*places]] = [edges[place].other for place in places]
         beyond = at_point(own, names, time, x, replace(values, u=other))
@@ -109,12 +110,6 @@ def _differ(one: Vector, other: Vector) -> bool:
     """Tell whether values jump."""
     change, size = np.abs(one - other), np.fmax(np.abs(one), np.abs(other))
     return bool((change > SAME * size + EPS * size.max(initial=0.0)).any())
-
-
-def _sides(edges: Mapping[int, Edge]) -> Iterator[tuple[int, ...]]:
-    """Yield the sets of relations at 0 whose other side is compared: one, two, or all of them."""
-    for size in sorted({1, 2, len(edges)}):
-        yield from combinations(edges, size)
 
 
 def rounding(
