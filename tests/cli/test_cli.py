@@ -21,6 +21,7 @@ import cosim
 from cosim.backend import Backend
 from cosim.cli.main import command_line, main
 from cosim.cli.verbs import VERBS
+from cosim.codegen import cache
 from cosim.errors import CosimError
 from cosim.model import catalogue as summary
 
@@ -240,6 +241,55 @@ def test_closed_pipe_is_no_error():
     assert process.stderr.read() == ""
     process.stderr.close()
     assert process.wait(60) == 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX closes them")
+@pytest.mark.parametrize(
+    ("words", "closed", "code", "out", "err"),
+    [
+        ("--outputs phi", ">&-", 1, "", "cannot write the results: Bad file descriptor\n"),
+        ("--outputs phi -o a.csv", "<&- >&- 2>&-", 0, "", ""),
+        ("--outputs phi -p phi=20", "2>&-", 0, "time,phi\n0,20\n", ""),  # without the warning
+        ("--outputs nothing", "2>&-", 3, "", ""),
+    ],
+)
+def test_closed_streams_get_nothing_and_give_their_numbers_to_no_file(
+    words, closed, code, out, err, tmp_path
+):
+    command = f"{sys.executable} -m cosim simulate bicycle --stop-time 0 {words} {closed}"
+    run = subprocess.run(
+        ["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (code, out, err)
+    if "a.csv" in words:
+        assert (tmp_path / "a.csv").read_text() == "time,phi\n0,0\n"
+
+
+@pytest.mark.parametrize("words", ["new -", "scene bicycle_path", "new - --from bicycle_path"])
+def test_json_holds_the_text_that_is_printed_without_it(words, capsys):
+    assert main(words.split()) == 0
+    text = capsys.readouterr().out
+    assert main([*words.split(), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"text": text}
+
+
+def test_json_tells_what_was_removed_from_the_cache(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COSIM_CACHE", str(tmp_path))
+    tmp_path.chmod(0o700)
+    cache.store("made/a", b"0" * 100)
+    assert main(["cache", "--json"]) == 0
+    held = json.loads(capsys.readouterr().out)
+    assert main(["cache", "--clear", "--json"]) == 0
+    removed = json.loads(capsys.readouterr().out)
+    assert removed == {"folder": str(tmp_path), "files": 1, "bytes": held["bytes"], "removed": True}
+
+
+def test_json_names_the_system_that_was_exported(tmp_path, capsys):
+    (tmp_path / "two.toml").write_text('[parts]\na = "crank_shaft"\nb = "bar_on_frame"\n')
+    target = tmp_path / "two.ssp"
+    assert main(["export", str(tmp_path / "two.toml"), "-o", str(target), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts == {"file": str(target), "bytes": target.stat().st_size}
 
 
 def test_character_that_the_terminal_lacks_causes_no_error(tmp_path):

@@ -89,6 +89,7 @@ def refused(capsys, monkeypatch, tmp_path):
         ("simulate bicycle --solver ode8 --absolute-tolerance 1", "ode8 has no error control"),
         ("simulate bicycle/multipliers --solver erk", "erk cannot integrate; use idas"),
         ("simulate bicycle --outputs phi,phi", "output 'phi' is named twice"),
+        ("simulate bicycle --units book --json", "JSON is in SI units; use CSV"),
         ("simulate swing.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
         ("export bicycle.fmu", "an FMU is taken by simulate, crosscheck and plot"),
         ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
@@ -242,8 +243,19 @@ def test_list_whose_last_number_alone_has_a_unit_is_rejected(line, refused):
     refused(line, 2, "has no unit and .* has one; write the unit at each")
 
 
-def test_formula_that_is_given_twice_is_rejected(refused):
-    refused("simulate bicycle --input roll_torque=1 --input roll_torque=2", 2, "given twice")
+@pytest.mark.parametrize("other", ["--input", "-p"])
+def test_formula_that_is_given_twice_is_rejected(other, refused):
+    line = f"simulate bicycle --input roll_torque=1 {other} roll_torque=2"
+    refused(line, 2, "UsageError: roll_torque is given twice; give it once")
+
+
+@pytest.mark.parametrize("other", ["--input", "-p"])
+def test_column_of_what_has_a_value_too_is_rejected(other, tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("time,roll_torque\n0,1\n1,2\n")
+    file = str(tmp_path / "a.csv")
+    assert main(["simulate", "bicycle", "--input-file", file, other, "roll_torque=2"]) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err) == ("", "UsageError: roll_torque is given twice; give it once\n")
 
 
 def test_calculated_start_is_rejected_with_the_names_that_can_be_set(refused):
@@ -323,6 +335,8 @@ def test_ending_that_a_verb_does_not_write_is_rejected(line, endings, refused):
         (["simulate", "crank_shaft", "--outputs", "phi,", "omega"],
          "write a list without blanks: phi,omega"),
         (["simulate", "crank_shaft", "-p", "alpha=1", "omega=2"], "repeat the option: -p omega=2"),
+        (["-q", "simulate", "crank_shaft"], "cannot take '-q'; write it after the verb;"),
+        (["--json", "info"], "cannot take '--json'; write it after the verb;"),
     ],
 )  # fmt: skip
 def test_message_says_what_to_write_instead(line, remedy, capsys):

@@ -23,7 +23,7 @@ from cosim.host.progress import shown_on_terminal
 from cosim.host.signals import TimeLimit, ended_by_signals
 from cosim.text import described, visible
 
-_OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_OUTPUT_ERRORS = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF)
 _DESCRIPTION = "Simulate rigid-body systems natively or as FMUs, and compare the results."
 _EXAMPLES = Path(__file__).with_name("examples.txt")
 
@@ -143,15 +143,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             if arguments is not None:
                 return _run_words(arguments, own_process=False)
+            # else the next files would get the numbers of streams that the caller has closed
+            sys.stdin = sys.stdin or os.fdopen(os.open(os.devnull, os.O_RDONLY))
+            sys.stdout = sys.stdout or os.fdopen(os.open(os.devnull, os.O_RDONLY), "w")  # fails
+            sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
             with ended_by_signals(command=True):
                 return _run_words(sys.argv[1:], own_process=True)
         finally:
             print(end="", flush=True)  # errors of standard output are raised here
-    except BrokenPipeError:  # the reader of the results has ended, as in `cosim info | head`
-        _discard_output()
-        return 0
     except OSError as error:
-        _discard_output()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the last flush
+        if isinstance(error, BrokenPipeError):  # the reader has ended, as in `cosim info | head`
+            return 0
         print(f"cannot write the results: {error.strerror}", file=sys.stderr)
         return 1
 
@@ -208,6 +211,8 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
     if "=" in word and not word.startswith("-"):
         return f"; repeat the option: -p {word}"
     name = word.partition("=")[0]
+    if name in options:
+        return "; write it after the verb"
     if others := [other for other in _OTHER_NAMES.get(name, ()) if other in options]:
         return f"; write {' or '.join(others)}"
     if option in verb.options("A,B") and not word.startswith("-"):
@@ -272,11 +277,6 @@ def _as_typed(text: str, args: argparse.Namespace) -> str:
         if "-" in name[2:] and getattr(args, action.dest, None) not in (None, action.default):
             typed[name[2:].replace("-", "_")] = name
     return re.sub(r"(?<![\w'(.])[a-z]+(_[a-z]+)+(?![\w'(])", lambda m: typed.get(m[0], m[0]), text)
-
-
-def _discard_output() -> None:
-    """Let Python flush standard output to nowhere when it ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _reject_unwritable(args: argparse.Namespace) -> None:

@@ -3,6 +3,8 @@
 import argparse
 import json
 import sys
+from pathlib import Path
+from typing import Any
 
 from cosim.cli.arguments import names_in, scene_from
 from cosim.cli.tables import note
@@ -27,10 +29,15 @@ def run(args: argparse.Namespace) -> int:
     if request.inputs is not None:
         names = ", ".join(request.inputs.names)
         note(args, f"{names}: inputs of the FMU; the importer supplies their series")
+    return _reported(args, path, model=dae.full_name, report=list(dae.report))
+
+
+def _reported(args: argparse.Namespace, path: Path, **facts: Any) -> int:
+    """Name the file that was written, and return the exit code."""
+    size = path.stat().st_size
     if args.json:
-        facts = {"file": str(path), "bytes": path.stat().st_size, "model": dae.full_name}
-        print(json.dumps(facts | {"report": list(dae.report)}))
-    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
+        print(json.dumps({"file": str(path), "bytes": size, **facts}))
+    note(args, f"{path} ({size / 1000:.0f} kB)")
     return 0
 
 
@@ -43,9 +50,7 @@ def _export_system(args: argparse.Namespace) -> int:
             f"{args.output_file}: -p and --start-values are for a model or a scene; set the values "
             f"in {args.model}"
         )
-    path = read_system(args.model).write_ssp(args.output_file)
-    note(args, f"{path} ({path.stat().st_size / 1000:.0f} kB)")
-    return 0
+    return _reported(args, read_system(args.model).write_ssp(args.output_file))
 
 
 def _options(args: argparse.Namespace, name: str) -> FmuKeywords:

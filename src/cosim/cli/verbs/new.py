@@ -7,6 +7,7 @@ from cosim.cli.tables import note, report_files, write_text
 from cosim.errors import UnknownName, UsageError
 from cosim.files import is_file
 from cosim.scene import shipped_scenes
+from cosim.text import json_text
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,6 +27,8 @@ def run(args: argparse.Namespace) -> int:
         text, subject = template.format(file=path, name=path.stem), f"{path}:build"
     if not printed and is_file(path):
         raise UsageError(f"cosim new: {path} exists; give another name")
+    if printed and args.json:
+        text = json_text({"text": text}) + "\n"
     write_text(None if printed else str(path), text)
     if args.json and not printed:
         report_files(args, path)

@@ -53,10 +53,10 @@ def _checked_ending(args: argparse.Namespace) -> str:
     ending = Path(file).suffix.lower()
     if ending and (ending == ".json") != args.json:
         raise UsageError(f"{file}: .json is for --json, and .csv or .mat for runs without it")
+    if args.units != "si" and (args.json or ending == ".mat"):
+        raise UsageError(f"{'JSON' if args.json else 'a MATLAB file'} is in SI units; use CSV")
     if ending == ".mat":
         optional_module("scipy.io", "data")
-        if args.units != "si":
-            raise UsageError(f"{file}: a MATLAB file is in SI units; write .csv with --units book")
     return ending
 
 
