@@ -253,14 +253,12 @@ def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
         return known
     unit = _product(text, single_unit)
     if unit is not None and like is not None and not unit.measures_like(like) and "lb" in text:
-        by_mass = _product(text, _pound_as_mass)
+        by_mass = _product(
+            text, lambda name: MORE["lbm"] if name in {"lb", "lbs"} else single_unit(name)
+        )
         if by_mass is not None and by_mass.measures_like(like):
             return by_mass
     return unit
-
-
-def _pound_as_mass(name: str) -> Unit | None:
-    return MORE["lbm"] if name in {"lb", "lbs"} else single_unit(name)
 
 
 def _product(text: str, known: Callable[[str], Unit | None]) -> Unit | None:

@@ -284,12 +284,17 @@ def test_json_tells_what_was_removed_from_the_cache(tmp_path, monkeypatch, capsy
     assert removed == {"folder": str(tmp_path), "files": 1, "bytes": held["bytes"], "removed": True}
 
 
-def test_json_names_the_system_that_was_exported(tmp_path, capsys):
-    (tmp_path / "two.toml").write_text('[parts]\na = "crank_shaft"\nb = "bar_on_frame"\n')
+def test_json_tells_of_an_exported_system(tmp_path, capsys):
+    parts = '[parts]\na = "crank_shaft"\nb = "bar_on_frame"\n'
+    (tmp_path / "two.toml").write_text(f'{parts}[connections]\n"b.T2" = "a.T"\n')
     target = tmp_path / "two.ssp"
     assert main(["export", str(tmp_path / "two.toml"), "-o", str(target), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts == {"file": str(target), "bytes": target.stat().st_size}
+    assert main(["info", str(target), "--json"]) == 0  # of FMUs, whose equations are not known
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["connections"] == [["a.T", "b.T2"]]
+    assert facts["parts"].keys() == {"a", "b"}
 
 
 def test_character_that_the_terminal_lacks_causes_no_error(tmp_path):

@@ -71,8 +71,6 @@ def runs_natively(args: argparse.Namespace) -> bool:
 def with_values(args: argparse.Namespace, request: RunRequest) -> RunRequest:
     """Return a request with the values of a command line, which end time series of the same."""
     numbers = start_numbers(args, request.dae) if "values" in args else {}
-    if not numbers:
-        return request
     values = overriding(request.dae, request.values, numbers)
     return replace(request.without_series(numbers), values=values)
 

@@ -19,12 +19,16 @@ def run(args: argparse.Namespace) -> int:
     from cosim.coupling.files import is_system, read_system  # these load casadi
     from cosim.present.info import info
 
-    if is_system(args.model) and not args.json:
+    if is_system(args.model):
         system = read_system(args.model)
-        print(system)
+        if args.json and not system.is_model:
+            wires = [[".".join(end) for end in (w.output, w.input)] for w in system.connections]
+            parts = {name: part.subject.name for name, part in system.parts.items()}
+            print(json_text({"system": system.name, "parts": parts, "connections": wires}))
+        elif not args.json:
+            print(system, end="\n\n" if system.is_model else "\n")
         if not system.is_model:
             return 0
-        print()
     found = info(args.model)
     print(json_text(found.to_dict(), indent=1) if args.json else found.text(terminal_width()))
     return 0
