@@ -100,7 +100,7 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
         given["accuracy"] = _accuracy(dae, given["accuracy"], outputs)
     values = {**request.values, **_plain(dae, given.get("start_values")), **settled.constants}
     starts = given.get("start_values")
-    reject_twice(dae.full_name, given.get("inputs"), starts, settled.constants)
+    reject_driven(dae.full_name, given.get("inputs"), starts, settled.constants)
     policy = {name: given[name] for name in _POLICY if name in given}
     found = RunRequest(
         dae,
@@ -121,7 +121,7 @@ def requested(subject: Dae | str | RunRequest, **keywords: Unpack[Keywords]) -> 
     return found.without_series(starts or ())
 
 
-def reject_twice(owner: str, inputs: Any, starts: Any, constants: Iterable[str] = ()) -> None:
+def reject_driven(owner: str, inputs: Any, starts: Any, constants: Iterable[str] = ()) -> None:
     """Reject start values of what the inputs of the same call set: one of both would be lost."""
     driven = {*getattr(inputs, "names", inputs or ()), *constants}
     if isinstance(starts, Mapping) and (twice := driven & starts.keys()):

@@ -102,7 +102,7 @@ def assign_many(dae: Dae, overrides: Mapping[str, ArrayLike] | None = None) -> M
     x, p, u = map(np.ascontiguousarray, np.split(table, ends, axis=1))
     x, solved = solved_starts(dae, given, x, p)
     bad |= ~solved
-    if dae.inertias and any(v.name in given for v in dae.parameters):
+    if runs and dae.inertias and any(v.name in given for v in dae.parameters):
         bad |= unphysical(inertias(dae, p))
     refused = {int(i): _reason(dae, given, int(i)) for i in np.flatnonzero(bad)}
     return ManyValues(given, x, p, u, refused)

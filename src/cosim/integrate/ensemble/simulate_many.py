@@ -29,7 +29,7 @@ from cosim.integrate.ensemble.event_blocks import EventBlocks, event_blocks
 from cosim.integrate.ensemble.lanes import in_lanes, processors
 from cosim.integrate.families.explicit import Dop853, NonStiffDop853
 from cosim.integrate.growth import may_grow_again
-from cosim.integrate.keywords import SharedKeywords, reject_twice, requested
+from cosim.integrate.keywords import SharedKeywords, reject_driven, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.run import run
@@ -93,7 +93,7 @@ def simulate_many(
     request = with_largest_step(requested(dae, **keywords))
     if request.policy.stop_when is not None:
         raise UsageError(f"{request.dae.full_name}: stop_when is for single runs; leave it out")
-    reject_twice(request.dae.full_name, keywords.get("inputs"), start_values)
+    reject_driven(request.dae.full_name, keywords.get("inputs"), start_values)
     columns = {**request.values, **(start_values or {})} if request.values else start_values
     values = assign_many(request.dae, columns)
     request = request.without_series(start_values or ())
