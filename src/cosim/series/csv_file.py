@@ -251,11 +251,10 @@ def _with_decimal_points(rows: list[tuple[int, list[str]]]) -> list[tuple[int, l
     with_commas = any(map(_COMMA.fullmatch, numbers))
     if not with_commas or any("." in cell and _is_number(cell) for cell in numbers):
         return rows
-    return [(i, [_with_point(cell) for cell in cells]) for i, cells in rows]
-
-
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".") if _COMMA.fullmatch(cell.strip()) else cell
+    return [
+        (i, [c.replace(",", ".") if _COMMA.fullmatch(c.strip()) else c for c in cells])
+        for i, cells in rows
+    ]
 
 
 def numbers_of(
