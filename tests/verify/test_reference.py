@@ -158,3 +158,12 @@ def test_solution_that_does_not_exist_has_no_reference():
         SolverError, match=r"blow_up: no two methods agree on a reference; .*stopped"
     ):
         reference(blow_up())
+
+
+def test_more_rows_than_fixed_steps_may_be_leave_the_reference_to_other_methods(
+    monkeypatch, own_cache
+):
+    monkeypatch.setattr("cosim.integrate.families.fixed_step.MOST_UNROLLED_STEPS", 100)
+    found = reference(oscillator(0.0))
+    assert np.abs(found.run["x"] - np.cos(found.run.time)).max() < 1e-10
+    assert "ode8" not in (found.method + found.check)

@@ -16,7 +16,7 @@ import numpy as np
 from casadi_models.dae import Dae
 from cosim.codegen.cache import content_of, store_if_possible
 from cosim.codegen.compiler import has_compiler
-from cosim.errors import SolverError, UsageError
+from cosim.errors import ParameterError, SolverError, UsageError
 from cosim.integrate.families.casadi_rk import Erk, Rosenbrock
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep, Ode8
@@ -137,7 +137,7 @@ def _computed(request: RunRequest, key: str) -> Reference:
             break
         try:
             runs.append((solver, label, execute(replace(everything, solver=solver))))
-        except SolverError as error:
+        except (SolverError, ParameterError) as error:  # a step size may make too many steps
             reasons.append(str(error))
             continue
         best = _best_pair(runs, key)
