@@ -373,3 +373,30 @@ def test_slope_that_is_not_finite_at_the_start_is_named(start, ends):
     else:
         with pytest.raises(InitialConditionError, match="x_dot has no finite derivative"):
             linearize(tank, at="equilibrium")
+
+
+@pytest.mark.parametrize("span", [1e-9, 1.0, 1e12])
+@pytest.mark.parametrize("size", [1e-9, 1e9])
+def test_rest_does_not_depend_on_the_time_scale(span, size):
+    model = Model("tank", stop_time=span)
+    level = model.state("level", "m", 0.0, "level", nominal=size)
+    model.derivative(level, size / span * (1 - (level / size) ** 3 - level / size))
+    dae = model.freeze()
+    root = np.roots([1, 0, 1, -1]).real.max()
+    found = cosim.linearize(dae, at="equilibrium")
+    assert found.x / size == pytest.approx([root], rel=1e-12)
+    assert found.steadiness == "at rest"
+    assert found.A[0, 0] * span == pytest.approx(-3 * root**2 - 1, rel=1e-12)
+    assert cosim.linearize(dae).steadiness.startswith("not steady: level changes by")
+
+
+def test_rates_that_are_rounding_errors_of_large_forces_are_a_rest():
+    model = Model("scales", stop_time=1.0)
+    x = model.state("x", "m", 1.0, "displacement")
+    v = model.state("v", "m/s", 0.0, "speed", nominal=1e-6)
+    load = model.parameter("load", "m/s2", 2.7997274192541552, "load")
+    k = model.parameter("k", "1", 3.1085649907520086e-06, "stiffness")
+    model.derivative(x, v)
+    model.derivative(v, load * (1 + k * (x - 0.3) + k * x**3) - load * (1 + 0.1 * k))
+    found = cosim.linearize(model.freeze(), at="equilibrium")
+    assert found.x[0] + found.x[0] ** 3 == pytest.approx(0.4, abs=1e-9)

@@ -14,11 +14,12 @@ from cosim.model.values import Values
 from cosim.series.samples import ROUNDING_OF_OTHERS
 from cosim.study.linearize.local import at_point, followed, influence, reject_no_number
 from cosim.study.linearize.period_map import ACCURACY, PeriodMap
-from cosim.study.linearize.spectrum import without_influence
+from cosim.study.linearize.spectrum import rate_sizes, without_influence
 from cosim.text import counted, with_unit
 
 MOST_NEWTON_STEPS = 60
-AT_REST = 1e-11  # largest rate of a state at rest, in nominal values per second
+AT_REST = 1e-11  # largest rate of a state at rest, of those that states of their size make
+SAME = 1e-6  # relative difference of states that rounding of their rates may leave open
 
 
 def equilibrium(
@@ -60,12 +61,7 @@ class _Search:
 
     @property
     def kind(self) -> str:
-        return "equilibrium" if self.over is None else "periodic motion"
-
-    @property
-    def accuracy(self) -> float:
-        """Largest rate of a state at rest, in nominal values per second."""
-        return AT_REST if self.over is None else ACCURACY / self.over.period
+        return "an equilibrium" if self.over is None else "a periodic motion"
 
     def motion(self, x: Vector) -> tuple[Vector, Vector]:
         """Return rates, or their mean over a period, and their derivatives by the states."""
@@ -88,33 +84,29 @@ class _Search:
         residual = ca.vertcat(SX(0, 1), *(invariant.residual for invariant in dae.invariants))
         law = law_of_knowns(dae, "law", residual, ca.jacobian(residual, dae.x))
 
-        def defect(x: Vector) -> tuple[Vector, Vector]:
+        def defect(x: Vector) -> tuple[Vector, Vector, Vector]:
+            """Return rates and constraints, their derivatives, and what they are at rest."""
             rates, jacobian = self.motion(x)
             left, slope = (np.array(block) for block in law(self.time, x, values.u, values.p))
             rows = np.concatenate(((rates / sizes)[resting], left.ravel()))
-            by_x = (jacobian / sizes[:, None])[np.ix_(resting, movable)]
-            return rows, np.vstack((by_x, slope[:, movable])) * nominal
+            by_x = np.vstack(((jacobian / sizes[:, None])[resting], slope))
+            least = AT_REST * rate_sizes(by_x, np.fmax(np.abs(x), sizes))
+            if self.over is not None:
+                least[: len(resting)] = ACCURACY / self.over.period
+            return rows, by_x[:, movable] * nominal, least
 
-        start, (rows, slope) = x, defect(x)
+        start, (rows, slope, least) = x, defect(x)
         moving = [dae.states[i].name for i in resting]
         meanings = [f"{name}_dot" for name in moving] + ["a constraint"] * (len(rows) - len(moving))
         knowns = [dae.states[i].name for i in movable]
         reject_no_number(dae.full_name, slope, meanings, knowns, "the initial state")
         for step in range(MOST_NEWTON_STEPS):
-            if np.abs(rows).max(initial=0.0) <= self.accuracy:
-                moved = np.abs(x - start)[movable] / nominal
-                if not moved.size or moved.max() == 0:
-                    return x, f"its initial state, {_article(self.kind)}"
-                most = movable[int(moved.argmax())]
-                state, way = dae.states[most], abs(x[most] - start[most])
-                reached = x[most] if abs(x[most]) > ROUNDING_OF_OTHERS * way else 0.0
-                steps = counted(step, "step")
-                return x, (
-                    f"{_article(self.kind)}, {steps} of Newton's method from the initial "
-                    f"state ({state.name} = {with_unit(reached, state.unit)} instead of "
-                    f"{start[most]:.6g})"
-                )
-            change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0] * nominal
+            if np.all(np.abs(rows) <= least):
+                return x, self._described(start, x, step)
+            change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0]
+            ends = np.all(np.abs(rows + slope @ change) <= least)
+            change = change * nominal
+            ends = ends and np.all(np.abs(change) <= SAME * np.fmax(np.abs(x), sizes)[movable])
             for _ in range(30):
                 trial = x.copy()
                 trial[movable] += change
@@ -124,19 +116,30 @@ class _Search:
                     break
                 change = change / 2
             else:
+                if ends:  # the rates are rounding errors of larger terms
+                    return x, self._described(start, x, step)
                 break
-            x, (rows, slope) = trial, found
-        worst = int(np.abs(rows).argmax())
+            x, (rows, slope, least) = trial, found
+        noun, worst = self.kind.split(" ", 1)[1], int(np.abs(rows).argmax())
         why = f"a constraint is not fulfilled (by {rows[worst]:.3g}"
         if worst < len(moving):
             rate = f"its rate is {rows[worst]:.3g} nominal values per second"
             why = f"{moving[worst]} cannot come to rest ({rate}"
         raise InitialConditionError(
-            f"{dae.full_name}: there is no {self.kind} near the initial state: {why} "
-            "where Newton's method stops); start nearer to it, or change the parameters and "
-            "inputs that drive the model"
+            f"{dae.full_name}: there is no {noun} near the initial state: {why} where Newton's "
+            "method stops); start nearer to it, or change the parameters and inputs that drive the "
+            "model"
         )
 
-
-def _article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeio' else 'a'} {noun}"
+    def _described(self, start: Vector, x: Vector, steps: int) -> str:
+        """Return the description of a state that was reached from the initial one."""
+        moved = np.abs(x - start) / [v.nominal for v in self.dae.states]
+        if not moved.any():
+            return f"its initial state, {self.kind}"
+        most = int(moved.argmax())
+        state, way = self.dae.states[most], abs(x[most] - start[most])
+        reached = x[most] if abs(x[most]) > ROUNDING_OF_OTHERS * way else 0.0
+        return (
+            f"{self.kind}, {counted(steps, 'step')} of Newton's method from the initial state "
+            f"({state.name} = {with_unit(reached, state.unit)} instead of {start[most]:.6g})"
+        )

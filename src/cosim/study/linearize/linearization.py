@@ -5,6 +5,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from cosim.arrays import Truths, Vector
 from cosim.errors import naming_arguments_of
 from cosim.files import write_atomically
-from cosim.study.linearize.spectrum import Spectrum, blocks, without_influence
+from cosim.study.linearize.spectrum import Spectrum, blocks, rate_sizes, without_influence
 from cosim.text import csv_text
 
 
@@ -146,11 +147,21 @@ class Linearization:
             **facts,
         )
 
+    @cached_property
+    def _relative_rates(self) -> Vector:
+        """Rates relative to those that a nominal value of a state makes; changes in a period."""
+        rates = np.abs(self.rates) / self.nominal
+        if self.period is not None:
+            return rates * self.period
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = rates / rate_sizes(self.A / self.nominal[:, None], self.nominal)
+        return np.where(rates, found, 0.0)
+
     @property
     def unsteadiness(self) -> float:
-        """Largest rate of the states that are not cyclic, in nominal values per second."""
+        """Largest rate of the states that are not cyclic, relative to those by nominal values."""
         resting = [i for i, name in enumerate(self.states) if name not in self.cyclic]
-        return float(np.abs(self.rates[resting] / self.nominal[resting]).max(initial=0.0))
+        return float(self._relative_rates[resting].max(initial=0.0))
 
     @property
     def is_steady(self) -> bool:
@@ -219,26 +230,15 @@ class Linearization:
     @property
     def steadiness(self) -> str:
         """Sentence that says whether the motion is steady, and which states move on."""
-        moving = [
-            name
-            for name, rate in zip(self.states, self.rates / self.nominal, strict=True)
-            if name in self.cyclic and abs(rate) > 1e-9
-        ]
+        own = dict(zip(self.states, self._relative_rates.tolist(), strict=True))
         if not self.is_steady:
-            worst = max(
-                (i for i, name in enumerate(self.states) if name not in self.cyclic),
-                key=lambda i: abs(self.rates[i] / self.nominal[i]),
-            )
+            name = max((name for name in own if name not in self.cyclic), key=own.__getitem__)
+            rate = self.rates[self.states.index(name)]
+            what, per, this = "steady", "per second", "instant"
             if self.period is not None:
-                return (
-                    f"not periodic: {self.states[worst]} changes by "
-                    f"{self.rates[worst] * self.period:.3g} in one period; the eigenvalues hold "
-                    "for this one"
-                )
-            return (
-                f"not steady: {self.states[worst]} changes by {self.rates[worst]:.3g} per second; "
-                "the eigenvalues hold for this instant"
-            )
-        if moving:
+                what, per, this = "periodic", "in one period", "period"
+            change = f"{name} changes by {rate * (self.period or 1):.3g} {per}"
+            return f"not {what}: {change}; the eigenvalues hold for this {this}"
+        if moving := [name for name in self.cyclic if own[name] > 1e-9]:
             return f"steady, moving on: {', '.join(moving)}"
         return "at rest" if self.period is None else "periodic"

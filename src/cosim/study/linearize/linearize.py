@@ -8,7 +8,6 @@ from typing import TypedDict, Unpack, overload
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as consistent_start
@@ -18,7 +17,7 @@ from cosim.model.catalogue import load
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs
 from cosim.model.solver import Solver, Tolerance
-from cosim.model.values import Values, number
+from cosim.model.values import number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
 from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
@@ -149,9 +148,8 @@ def _linearized(
     dae, time = model, at if isinstance(at, float) else start_time
     values = requested(dae, start_values=start_values, inputs=inputs).numbers
     values = replace(values, u=input_values(dae, np.array([time]), values, inputs)[:, 0])
-    names = tuple(v.name for v in dae.output_variables)
-    if outputs is not None:
-        names = checked_outputs(dae, outputs)
+    every = tuple(v.name for v in dae.output_variables)
+    names = every if outputs is None else checked_outputs(dae, outputs)
     period = period_of(dae, values)
     if isinstance(at, float):
         request = requested(
@@ -174,24 +172,10 @@ def _linearized(
         x, point = found.values[-1], f"{at:g} s of a run"
     else:
         x, point = consistent_start(dae, time, values), "its initial state"
-    over = None
-    if period is not None:
-        over = PeriodMap(dae, values, time, period, isinstance(at, str), point)
+    first = isinstance(at, str)
+    over = PeriodMap(dae, values, time, period, first, point) if period is not None else None
     if at == EQUILIBRIUM:
         x, point = equilibrium(dae, time, x, values, over)
-    return _linear_system(dae, names, time, x, values, point, over)
-
-
-def _linear_system(
-    dae: Dae,
-    names: tuple[str, ...],
-    time: float,
-    x: Vector,
-    values: Values,
-    point: str,
-    over: PeriodMap | None,
-) -> Linearization:
-    """Return the linear system at a state, or the map over a period from there."""
     local = local_system(dae, names, time, x, values, point)
     if over is not None:
         after, n = over(x), len(x)

@@ -105,9 +105,7 @@ def linearized_fmu(
 
 def _values(instance: Any, variables: Sequence[Any]) -> Vector:
     references = [v.valueReference for v in variables]
-    if not references:
-        return np.empty(0)
-    return np.array(instance.getFloat64(references), dtype=float)
+    return np.array(instance.getFloat64(references) if references else [], dtype=float)
 
 
 def _jacobian(instance: Any, unknowns: Sequence[Any], knowns: Sequence[Any]) -> Vector:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.arrays import Truths, Vector
+from cosim.series.samples import ROUNDING_OF_OTHERS
 
 EPS = float(np.finfo(float).eps)
 MOST_BALANCINGS = 50
@@ -73,6 +74,21 @@ class Spectrum:
         with np.errstate(invalid="ignore", over="ignore"):
             found = self.values + np.einsum("ij,jk,ki->i", self.left, change, self.right)
         return np.where(np.isfinite(found), found, self.values)
+
+
+def rate_sizes(slopes: Vector, sizes: Vector) -> Vector:
+    """Return how large rates are where one state has its size, (rows,).
+
+    A row of zeros, as rounding knows them, has the size of the largest one.
+
+    Args:
+        slopes: Derivatives of the rates by the states, (rows, states).
+        sizes: Sizes of the states, (states,).
+    """
+    found: Vector = (np.abs(slopes) * sizes).max(axis=1, initial=0.0)
+    largest = found.max(initial=0.0)
+    found[found <= ROUNDING_OF_OTHERS * largest] = largest
+    return found
 
 
 def reachable(influence: Truths) -> Truths:
