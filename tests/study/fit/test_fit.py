@@ -570,3 +570,20 @@ def test_command_draws_measurements_over_a_run(tmp_path):
     assert main(words) == 0
     assert picture.stat().st_size > 1000
     assert main([*words[:2], "bicycle", *words[2:]]) == 2
+
+
+def test_value_that_is_almost_zero_is_identified():
+    """The measurements show an offset of 1e-8 m as well as one of 1 m."""
+    model = cosim.Model("offset", stop_time=2.0)
+    x = model.state("x", "m", 1.0, "x")
+    k = model.parameter("k", "1/s", 1.0, "rate")
+    offset = model.parameter("offset", "m", 0.0, "offset")
+    model.derivative(x, -k * x)
+    model.output("y", "m", x + offset, "y")
+    noise = np.random.default_rng(4).normal(0, 1e-8, len(TIMES))
+    found = fit(model.freeze(), record({"y": np.exp(-2 * TIMES) + noise}), ["k", "offset"])
+    jacobian = np.column_stack((-TIMES * np.exp(-2 * TIMES), np.ones_like(TIMES)))
+    errors = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian))) * found.noise["y"]
+    assert not found.unidentified
+    assert list(found.errors.values()) == pytest.approx(errors, rel=1e-4)
+    assert abs(found.values["offset"]) < 4 * errors[1]

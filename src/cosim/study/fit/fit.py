@@ -351,8 +351,9 @@ class _Problem:
         Values at a bound count as known.
         """
         sizes, free = self.unknowns.sizes, best.free
-        ends = np.abs(best.x)
-        relative = np.where(ends <= EPS, 1.0, ends)  # scales of the final values
+        norms = np.linalg.norm(best.jacobian, axis=0)
+        shown = norms * np.fmax(np.abs(best.x), 1.0) > RANK  # by a change of its own size
+        relative = np.divide(1.0, norms, out=np.ones(len(norms)), where=shown)
         jacobian = (best.jacobian * relative)[:, free]
         _, singular, rows = np.linalg.svd(jacobian, full_matrices=True)
         rank = int((singular > RANK * singular.max(initial=0.0)).sum())
