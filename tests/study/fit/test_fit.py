@@ -337,6 +337,22 @@ def test_fmu_with_a_start_time_of_its_own_is_fitted_from_0(tmp_path):
     assert found.values["k"] == pytest.approx(2.0, rel=1e-6)
 
 
+def test_fmu_whose_value_ends_at_its_bound_is_not_run_beyond_it(tmp_path):
+    """A constant is fitted best by the lowest rate."""
+    found = []
+    for low in (0.0, 1.5):
+        model = cosim.Model("bounded", stop_time=2.0)
+        x = model.state("x", "m", 1.0, "x")
+        k = model.parameter("k", "1/s", 2.0, "rate", minimum=low)
+        model.derivative(x, -k * x)
+        path = cosim.export_fmu(model.freeze(), tmp_path / "bounded.fmu")
+        found.append(fit(path, record({"x": 2 + 0.01 * TIMES}), {"k": None, "x": None}))
+    assert [one.values["k"] for one in found] == pytest.approx([0, 1.5], abs=1e-6)
+    for one, bound in zip(found, ("0", "1.5"), strict=True):
+        assert [note[: len(bound) + 20] for note in one.notes] == [f"k ends at its bound {bound}"]
+    assert found[0].values["x"] == pytest.approx(2 + 0.01 * TIMES.mean(), rel=1e-6)
+
+
 @pytest.mark.slow
 def test_fmu_is_fitted_by_finite_differences(tmp_path):
     path = cosim.export_fmu(DECAY, tmp_path / "decay.fmu")

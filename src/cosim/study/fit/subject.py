@@ -147,12 +147,11 @@ class FmuSubject:
         """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
         columns = []
         for name in by:
-            step = STEP * (abs(values[name]) or self.known(name).column.nominal)
-            after, before = (
-                self.run({**values, name: values[name] + shift}, names, times).values
-                for shift in (step, -step)
-            )
-            columns.append((after - before) / (2 * step))
+            known, at = self.known(name), values[name]
+            step = STEP * max(abs(at), STEP * (abs(known.start) or known.column.nominal))
+            ends = np.clip((at - step, at + step), known.minimum, known.maximum)
+            low, high = (self.run({**values, name: end}, names, times).values for end in ends)
+            columns.append((high - low) / np.diff(ends))
         return np.stack(columns, axis=-1)
 
 
