@@ -92,6 +92,13 @@ def test_order_8_shows_over_four_halvings_where_rounding_is_small(name, stop, st
     assert observed[-1] == pytest.approx(8, abs=0.25)
 
 
+@pytest.mark.parametrize(("stop", "interval"), [(1.0, 0.3), (10.0, 0.3), (10.0, 20.0)])
+def test_order_shows_where_the_last_output_interval_is_shorter(stop, interval):
+    spring = cosim.requested(oscillator().dae, stop_time=stop, output_interval=interval)
+    found = observed_order(spring, reference(spring), "rk4")
+    assert found.observed == pytest.approx(4, abs=0.1)  # measured 3.94, 4.02, 4.01
+
+
 def test_wrong_coefficient_shows_as_a_lower_order(monkeypatch):
     wrong = Tableau(4, RK4.a, (*RK4.b[:2], RK4.b[2] + RK4.b[3], 0))
     monkeypatch.setattr(Rk4, "tableau", wrong)

@@ -26,7 +26,7 @@ from cosim.study.tradeoff.measurement import (
     Measurement,
     Outcome,
     Timing,
-    at_times,
+    at_common_times,
     combined,
     invariants,
     measurement_of,
@@ -374,4 +374,9 @@ def test_reference_is_compared_at_the_times_of_the_run(span):
     time = np.linspace(0, span, 11)
     reference = cosim.Trajectory("clock", time, columns, time[:, None])
     run = cosim.Trajectory("clock", time[::2], columns, time[::2, None])
-    np.testing.assert_array_equal(at_times(reference, run).values, run.values)
+    np.testing.assert_array_equal(at_common_times(reference, run)[0].values, run.values)
+    others = np.append(np.arange(0, 10, 2.5), 10) / 10 * span
+    run = cosim.Trajectory("clock", others, columns, others[:, None])
+    truth, own = at_common_times(reference, run)
+    assert own.time / span == pytest.approx([0, 0.5, 1])
+    np.testing.assert_allclose(truth["t"], own["t"])

@@ -20,7 +20,7 @@ from cosim.model.inputs import InputSeries
 from cosim.model.request import RunRequest
 from cosim.model.times import Times
 from cosim.model.values import assign
-from cosim.study.tradeoff.measurement import at_times
+from cosim.study.tradeoff.measurement import at_common_times
 from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference
 
@@ -75,7 +75,9 @@ def observed_order(request: RunRequest, truth: Reference, solver: str) -> Order:
     """
     dae, (begin, end) = request.configured(), request.times.span(request.dae)
     names = [variable.name for variable in dae.states]
-    intervals = round((end - begin) / dae.experiment.output_interval)
+    interval = min(dae.experiment.output_interval, end - begin)
+    intervals = int((end - begin) / interval * (1 + 1e-9))  # without a shorter last one
+    end = min(end, begin + intervals * interval)
     outputs = next(n for n in range(_OUTPUTS, 0, -1) if intervals % n == 0)
     length = (end - begin) / outputs
     times = Times(begin, end, length)
@@ -91,8 +93,8 @@ def observed_order(request: RunRequest, truth: Reference, solver: str) -> Order:
             found = run(replace(plain, solver=requested_solver(dae, solver, step_size=step)))
         except CosimError:  # beyond the limit of stability
             continue
-        exact = at_times(truth.run, found).select(names)
-        error = compare(exact, found, by_nominal=True).worst.scaled
+        exact, found = at_common_times(truth.run, found)
+        error = compare(exact.select(names), found, by_nominal=True).worst.scaled
         if error > _LARGEST:
             steps, errors = [], []
             continue

@@ -138,8 +138,8 @@ def measurement_of(
     invariants: Sequence[str],
 ) -> Measurement:
     """Compare a run with the reference at the output times that both have."""
-    truth = at_times(reference.run, run)
-    differences = compare(truth.select(outputs), run, by_nominal=True).differences
+    truth, own = at_common_times(reference.run, run)
+    differences = compare(truth.select(outputs), own, by_nominal=True).differences
     drifts = {
         name: float(np.ptp(run[name])) / truth.column(name).nominal
         for name in invariants
@@ -153,7 +153,7 @@ def measurement_of(
         rhs_calls=stats.get("rhs_calls"),
         jacobian_calls=stats.get("jacobian_calls"),
         steps=stats.get("steps"),
-        points=len(run),
+        points=len(own),
         solver_time=Timing.of([stats.get("solve_time")]),
         total_time=Timing.of([stats["wall_time"]]),
         first_time=stats["wall_time"],
@@ -184,16 +184,15 @@ def invariants(reference: Reference) -> tuple[str, ...]:
     return tuple(found)
 
 
-def at_times(reference: Trajectory, run: Trajectory) -> Trajectory:
-    """Return the reference at the output times of a run with longer intervals."""
+def at_common_times(reference: Trajectory, run: Trajectory) -> list[Trajectory]:
+    """Return the rows of the reference and of a run at the output times that both have."""
     if len(reference) == len(run):
-        return reference
-    since = np.abs(reference.time - reference.time[0]).max(initial=0.0)
-    rows = np.searchsorted(reference.time, run.time - 1e-9 * since)
-    rows = np.minimum(rows, len(reference) - 1)
-    return Trajectory(
-        reference.model, reference.time[rows], reference.columns, reference.values[rows]
-    )
+        return [reference, run]
+    near = 1e-9 * np.abs(reference.time - reference.time[0]).max(initial=0.0)
+    rows = np.searchsorted(reference.time[:-1], run.time - near)
+    both = np.abs(reference.time[rows] - run.time) <= near
+    chosen = ((reference, rows[both]), (run, both))
+    return [Trajectory(one.model, one.time[i], one.columns, one.values[i]) for one, i in chosen]
 
 
 def combined(runs: Sequence[Measurement]) -> Measurement:
