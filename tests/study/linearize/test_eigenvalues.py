@@ -84,6 +84,35 @@ def test_crossing_of_a_slow_mode_beside_a_fast_one_is_located(decreasing):
         assert crossing.unstable == "above"
 
 
+@pytest.mark.parametrize("decreasing", [False, True])
+@pytest.mark.parametrize("damping", [-0.2, -0.05, 0.05])
+def test_column_buckles_where_its_stiffness_vanishes(damping, decreasing):
+    """Shortly before (or after), its oscillation splits into two real modes."""
+    dae = linear_model([[0, 1.0], [lambda m: m - 0.7, damping]])
+    for values in (np.linspace(0, 1, 8), [0.0, 1.0], [0.65, 0.72]):
+        along = {"mu": values[:: -1 if decreasing else 1]}
+        (crossing,) = cosim.linearize(dae, along=along).crossings
+        assert crossing.value == pytest.approx(0.7, abs=1e-14)
+        assert crossing.frequency == 0
+        assert crossing.unstable == ("above" if damping < 0 else "below")
+
+
+def test_crossings_of_coupled_modes_are_those_of_the_determinant():
+    generator = np.random.default_rng(99)
+    for _ in range(3):
+        a, b = generator.normal(size=(2, 3, 3))
+        rows = [
+            [lambda m, u=u, v=v: u + m * v for u, v in zip(*pair, strict=True)]
+            for pair in zip(a, b, strict=True)
+        ]
+        values = np.linspace(-1, 1, 81)
+        found = cosim.linearize(linear_model(rows), along={"mu": values}).crossings
+        dets = [np.linalg.det(a + m * b) for m in (-2, -1, 1, 2)]
+        roots = np.roots(np.polyfit((-2, -1, 1, 2), dets, 3))
+        real = sorted(r.real for r in roots if abs(r.imag) < 1e-12 and abs(r.real) < 1)
+        assert [c.value for c in found if not c.frequency] == pytest.approx(real, abs=1e-9)
+
+
 def test_mode_that_only_touches_the_axis_does_not_cross_it():
     dae = linear_model([[lambda m: -(m**2)]])
     assert not cosim.linearize(dae, along={"mu": [-1.0, 0.0, 1.0]}).crossings

@@ -184,11 +184,11 @@ class _Track:
 
     def along(
         self, places: Sequence[_Place]
-    ) -> tuple[Vector, list[tuple[int, tuple[_Place, int, _Place]]]]:
+    ) -> tuple[Vector, list[tuple[int, tuple[_Place, int, _Place, int]]]]:
         """Return the eigenvalues with one in each column, and where which of them changes sides.
 
         A place of change is a column, the last place before it with the row of the eigenvalue, and
-        the first place after it.
+        the first place after it with the row there.
         """
         first = anchor = places[0]
         usual = min(place.coincidences for place in places)  # as of zeros that are always there
@@ -199,7 +199,7 @@ class _Track:
             for low, high, partners in self._steps(anchor, place, REFINEMENTS):
                 later = [partners[i] for i in columns]
                 crossed += [
-                    (j, (low, i, high))
+                    (j, (low, i, high, k))
                     for j, (i, k) in enumerate(zip(columns, later, strict=True))
                     if high.coincidences <= usual and _changes_side(low, i, high, k)
                 ]
@@ -217,11 +217,8 @@ class _Track:
         """Return steps between two places in which it is sure what becomes of each eigenvalue."""
         step = self._step(low, high)
         middle = (low.value + high.value) / 2
-        if (
-            not refinements
-            or middle in (low.value, high.value)
-            or step.is_sure(low.sides, high.sides)
-        ):
+        ends = not refinements or middle in (low.value, high.value)
+        if ends or step.is_sure(low.sides, high.sides):
             return [(low, high, step.partners)]
         between = self.at(middle)
         return [
@@ -232,29 +229,32 @@ class _Track:
     def _step(self, low: _Place, high: _Place) -> Step:
         return Step.between(low.spectrum, high.spectrum, high.block - low.block)
 
-    def crossing(self, low: _Place, row: int, end: _Place, name: str) -> Crossing:
+    def crossing(self, low: _Place, row: int, end: _Place, k: int, name: str) -> Crossing:
         """Locate the crossing of an eigenvalue, down to neighboring floating-point numbers.
 
+        It is followed from both sides: where two meet, each may continue as either of two.
+
         Args:
-            low: Place before the crossing.
-            row: Index of the eigenvalue there.
-            end: Place after it.
+            low, row: Place before the crossing, and index of the eigenvalue there.
+            end, k: Place after it, and index there.
             name: What the model calls the mode.
         """
         begin, high, grows = low.value, end, bool(low.sides[row] > 0)
-        last = end.sides[self._step(low, end).partners[row]]
-        decided = low.sides[row] * last < 0  # otherwise it leaves the axis, and rounding counts
+        decided = low.sides[row] * end.sides[k] < 0  # otherwise it leaves the axis
         for _ in range(HALVINGS):
             middle = (low.value + high.value) / 2
             if middle in (low.value, high.value):
                 break
             between = self.at(middle)
-            i = self._step(low, between).partners[row]
             found = between.growth if decided else between.sides
-            if bool(found[i] > 0) == grows:
-                low, row = between, i
+            before = self._step(low, between).partners[row]
+            after = self._step(between, high).partners.index(k)
+            crossed, is_beyond = (bool(found[i] > 0) != grows for i in (before, after))
+            grown = [np.count_nonzero(place.sides > 0) for place in (low, between)]
+            if crossed or (is_beyond and grown[0] != grown[1]):
+                high, k = between, before if crossed else after
             else:
-                high = between
+                low, row = between, before if is_beyond else after
         linear = high.linear
         if not linear.is_steady:
             raise InitialConditionError(
@@ -263,8 +263,7 @@ class _Track:
                 'choose the equilibrium (--equilibrium; in Python at="equilibrium"), or initial '
                 "values of a steady motion"
             )
-        value = high.spectrum.values[self._step(low, high).partners[row]]
-        mode = Mode(complex(value), (), period=linear.period)
+        mode = Mode(complex(high.spectrum.values[k]), (), period=linear.period)
         return Crossing(
             float(high.value) + 0.0,  # no -0
             mode.frequency,
