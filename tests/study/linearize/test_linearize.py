@@ -10,6 +10,8 @@ from helpers.fmu_files import set_attributes, with_description
 
 import cosim
 from casadi_models.dae import Model
+from casadi_models.mechanics import kane
+from casadi_models.mechanics.mechanism import mechanism
 from cosim.cli.main import main
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.study.linearize.linearize import linearize
@@ -400,3 +402,32 @@ def test_rates_that_are_rounding_errors_of_large_forces_are_a_rest():
     model.derivative(v, load * (1 + k * (x - 0.3) + k * x**3) - load * (1 + 0.1 * k))
     found = cosim.linearize(model.freeze(), at="equilibrium")
     assert found.x[0] + found.x[0] ** 3 == pytest.approx(0.4, abs=1e-9)
+
+
+@pytest.mark.parametrize("free", [("q1",), None], ids=["eliminated", "multipliers"])
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e3])
+def test_hanging_linkage_of_any_size_is_found_at_rest(size, free):
+    """Virtual work of its weight, along its one motion, is zero."""
+    model = Model("linkage", stop_time=1.0)
+    starts = {"q1": 1.0, "q2": 0.3, "q3": 1.2}
+    q = ca.vertcat(*(model.state(name, "rad", x, "angle") for name, x in starts.items()))
+    u, lengths = ca.SX.sym("u", 3), np.array([1.0, 2.0, 1.7]) * size
+    bars = [a * ca.vertcat(ca.cos(q[i]), ca.sin(q[i])) for i, a in enumerate(lengths)]
+    right = ca.DM([1.8 * size, 0])
+    centers = [bars[0] / 2, bars[0] + bars[1] / 2, right + bars[2] / 2]
+    inertias, loads = [], []
+    for i, center in enumerate(centers):
+        velocity = ca.jtimes(center, q, u)
+        inertias.append(kane.InertialTerm(velocity, velocity))
+        inertias.append(kane.InertialTerm(u[i], lengths[i] ** 2 / 12 * u[i]))
+        loads.append(kane.Load(velocity, ca.vertcat(0, -9.81)))
+    loop = bars[0] + bars[1] - right - bars[2]
+    independent = None if free is None else q[0]
+    mechanism(model, q, u, inertias, loads, {"loop": loop}, independent=independent)
+    found = cosim.linearize(model.freeze(), at="equilibrium", outputs=["q1"])
+    height = sum(center[1] for center in centers)
+    law = [loop, ca.jacobian(loop, q), ca.jacobian(height, q)]
+    gap, slopes, weights = (np.array(v) / size for v in ca.Function("law", [q], law)(found.x[:3]))
+    motion = np.linalg.svd(slopes)[2][-1]
+    assert np.abs(gap).max() < 1e-9
+    assert abs(weights @ motion).max() < 1e-9

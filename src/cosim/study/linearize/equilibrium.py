@@ -85,25 +85,26 @@ class _Search:
         law = law_of_knowns(dae, "law", residual, ca.jacobian(residual, dae.x))
 
         def defect(x: Vector) -> tuple[Vector, Vector, Vector]:
-            """Return rates and constraints, their derivatives, and what they are at rest."""
             rates, jacobian = self.motion(x)
             left, slope = (np.array(block) for block in law(self.time, x, values.u, values.p))
             rows = np.concatenate(((rates / sizes)[resting], left.ravel()))
-            by_x = np.vstack(((jacobian / sizes[:, None])[resting], slope))
-            least = AT_REST * rate_sizes(by_x, np.fmax(np.abs(x), sizes))
-            if self.over is not None:
-                least[: len(resting)] = ACCURACY / self.over.period
-            return rows, by_x[:, movable] * nominal, least
+            parts, reach = ((jacobian / sizes[:, None])[resting], slope), np.fmax(np.abs(x), sizes)
+            size = np.concatenate([rate_sizes(part, reach) for part in parts])
+            size = np.where(size, size, np.where(rows, np.abs(rows), 1.0))
+            return rows, np.vstack(parts)[:, movable] * nominal, size
 
-        start, (rows, slope, least) = x, defect(x)
+        start, (rows, slope, size) = x, defect(x)
         moving = [dae.states[i].name for i in resting]
         meanings = [f"{name}_dot" for name in moving] + ["a constraint"] * (len(rows) - len(moving))
         knowns = [dae.states[i].name for i in movable]
         reject_no_number(dae.full_name, slope, meanings, knowns, "the initial state")
         for step in range(MOST_NEWTON_STEPS):
+            least = AT_REST * size
+            if self.over is not None:
+                least[: len(moving)] = ACCURACY / self.over.period
             if np.all(np.abs(rows) <= least):
                 return x, self._described(start, x, step)
-            change = -np.linalg.lstsq(slope, rows, rcond=1e-12)[0]
+            change = -np.linalg.lstsq(slope / size[:, None], rows / size, rcond=1e-12)[0]
             ends = np.all(np.abs(rows + slope @ change) <= least)
             change = change * nominal
             ends = ends and np.all(np.abs(change) <= SAME * np.fmax(np.abs(x), sizes)[movable])
@@ -111,7 +112,7 @@ class _Search:
                 trial = x.copy()
                 trial[movable] += change
                 found = defect(trial)
-                is_nearer = np.linalg.norm(found[0]) < np.linalg.norm(rows)
+                is_nearer = np.linalg.norm(found[0] / size) < np.linalg.norm(rows / size)
                 if is_nearer and np.isfinite(found[1]).all():
                     break
                 change = change / 2
@@ -119,7 +120,7 @@ class _Search:
                 if ends:  # the rates are rounding errors of larger terms
                     return x, self._described(start, x, step)
                 break
-            x, (rows, slope, least) = trial, found
+            x, (rows, slope, size) = trial, found
         noun, worst = self.kind.split(" ", 1)[1], int(np.abs(rows).argmax())
         why = f"a constraint is not fulfilled (by {rows[worst]:.3g}"
         if worst < len(moving):
