@@ -104,10 +104,8 @@ def observed_order(request: RunRequest, truth: Reference, solver: str) -> Order:
             break
     fitted = slice(-FITTED_HALVINGS - 2, -1)
     lengths, apart = tuple(steps[fitted]), tuple(errors[fitted])
-    slope = None
-    if len(lengths) > 2:
-        slope = float(np.polyfit(np.log(lengths), np.log(apart), 1)[0])
     halvings = max(0, len(lengths) - 1)
+    slope = float(np.polyfit(np.log(lengths), np.log(apart), 1)[0]) if halvings > 1 else None
     return Order(dae.full_name, solver, expected, slope, halvings, lengths, apart)
 
 
