@@ -147,9 +147,9 @@ class FmuSubject:
         """Return the derivatives of outputs by unknowns, (n, outputs, unknowns)."""
         columns = []
         for name in by:
-            known, at = self.known(name), values[name]
-            step = STEP * max(abs(at), STEP * (abs(known.start) or known.column.nominal))
-            ends = np.clip((at - step, at + step), known.minimum, known.maximum)
+            known = self.known(name)
+            step = STEP * max(abs(values[name]), STEP * (abs(known.start) or known.column.nominal))
+            ends = np.clip((values[name] - step, values[name] + step), known.minimum, known.maximum)
             low, high = (self.run({**values, name: end}, names, times).values for end in ends)
             columns.append((high - low) / np.diff(ends))
         return np.stack(columns, axis=-1)

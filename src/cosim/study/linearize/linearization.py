@@ -234,11 +234,11 @@ class Linearization:
         if not self.is_steady:
             name = max((name for name in own if name not in self.cyclic), key=own.__getitem__)
             rate = self.rates[self.states.index(name)]
-            what, per, this = "steady", "per second", "instant"
             if self.period is not None:
-                what, per, this = "periodic", "in one period", "period"
-            change = f"{name} changes by {rate * (self.period or 1):.3g} {per}"
-            return f"not {what}: {change}; the eigenvalues hold for this {this}"
+                change = f"{name} changes by {rate * self.period:.3g} in one period"
+                return f"not periodic: {change}; the eigenvalues hold for this period"
+            change = f"{name} changes by {rate:.3g} per second"
+            return f"not steady: {change}; the eigenvalues hold for this instant"
         if moving := [name for name in self.cyclic if own[name] > 1e-9]:
             return f"steady, moving on: {', '.join(moving)}"
         return "at rest" if self.period is None else "periodic"
