@@ -100,6 +100,15 @@ def test_events_that_cause_each_other_without_end_are_reported():
         simulate(model.freeze())
 
 
+def test_events_of_one_instant_all_happen_however_many_they_are():
+    model, many = Model("crowd", stop_time=2.0), 300
+    n = model.discrete("n", "1", 0.0, "n")
+    for k in range(many):
+        model.when(model.t > 1, {n: n + 1}, name=f"event {k}")
+    run = simulate(model.freeze())
+    assert run["n"][-1] == many == len(run.events)
+
+
 def counter(order, name="counter"):
     """Return a count that begins with 7, with events of no and of one value in some order."""
     model = Model(name, stop_time=2.0, output_interval=0.5)

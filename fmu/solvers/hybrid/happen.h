@@ -17,16 +17,14 @@ static const double NO_WAY = 100;     /* ... those between which arguments move 
 static const double VIOLATION = 1e-6; /* of a constraint, that an assignment may leave ... */
 static const double WORSE = 10;       /* ... or so many times the one before */
 
-enum { ROOM_OF_INSTANT = 256 }; /* events that are recorded; what has more is an error */
-
 /* All that happened at an instant. */
 typedef struct {
     Ending ending;
     int count, rounds;
     bool states_changed, modes_changed;
-    int happened[ROOM_OF_INSTANT]; /* rules, in their order */
-    double modes[MODES + 1];       /* before */
-    bool zero[MODES + 1];          /* arguments that became 0 before the first assignment */
+    int happened[MOST_ROUNDS * EVENTS + 1]; /* rules, in their order */
+    double modes[MODES + 1];                /* before */
+    bool zero[MODES + 1];                   /* arguments that were 0 before the first assignment */
 } Happening;
 
 /* What a caller wants to know of each round: the values before its assignments. */
@@ -294,7 +292,6 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
         if (found->rounds++ == MOST_ROUNDS) return ending(TOO_MANY_ROUNDS, last);
         for (int i = 0; i < EVENTS; i++) {
             if (!risen[i]) continue;
-            if (found->count == ROOM_OF_INSTANT) return ending(TOO_MANY_ROUNDS, i);
             happened[i] = true;
             found->happened[found->count++] = i;
         }
