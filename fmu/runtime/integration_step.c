@@ -289,12 +289,12 @@ static int watched_step(Instance *self, double end) {
 bool integrate_to(Instance *self, double end) {
     const double *time = &self->state.values[TIME], begin = *time, span = end - begin;
     const double count = fmax(1, ceil(span / LARGEST_STEP * (1 - 1e-12)));
-    for (double k = 1; *time < end; k++) {
+    for (double k = 1; *time < end && k <= MOST_TRIALS; k++) {
         const double next = k < count ? begin + span * k / count : end;
         if (watched_step(self, fmin(next, end)) != DONE) return false;
         if (*time < end && !pass_midway(self, &end)) return false;
     }
-    return true;
+    return *time >= end;
 }
 #else
 bool integrate_to(Instance *self, double end) {

@@ -12,6 +12,7 @@ BLOCK = ("time", "x", "v", "der(x)", "der(v)", "mode_1", "friction", "event_indi
 LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
 HOLDING = ("time", "x", "n", "y", "der(x)", "der(n)", "der(y)", "u", "mode_1", "period")
+HUMMING = ("time", "x", "der(x)", "y")
 POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
 
@@ -180,7 +181,7 @@ def test_rates_of_outputs_at_an_event_count_no_input_that_was_asked_for(make):
 
 
 def test_rates_of_an_output_that_varies_faster_than_the_states_are_accurate(make):
-    fmu = make("humming", ("time", "x", "der(x)", "y"), 1).initialize({"stop": 1000.0})
+    fmu = make("humming", HUMMING, 1).initialize({"stop": 1000.0})
     assert fmu("DoStep", 0.0, 0.25, 1) == OK
     rates, orders = reals(0, 0, 0), (c_int * 3)(1, 2, 3)
     assert fmu("GetRealOutputDerivatives", fmu.refs(*["y"] * 3), 3, orders, rates) == OK
@@ -303,3 +304,12 @@ def test_a_step_that_rounding_makes_none_keeps_the_input_that_it_asks_for(make, 
     assert fmu.get("u") == [1.0]
     assert fmu.step(1.0, 0.125)[::2] == (OK, 1.125)
     assert fmu.get("x") == [pytest.approx(0.125)]
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4", "ode8"])
+def test_a_call_ends_however_long_its_step_is(make, solver):
+    fmu = make("humming", HUMMING, 1, solver=solver).initialize()
+    assert fmu("DoStep", 0.0, 1e6, 1) == DISCARD
+    time, x = fmu.get("time", "x")
+    assert 0 < time < 1e5
+    assert x == pytest.approx(time, rel=1e-10)
