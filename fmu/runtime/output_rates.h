@@ -7,6 +7,8 @@
 #ifndef OUTPUT_RATES_H
 #define OUTPUT_RATES_H
 
+#include <float.h>
+#include <math.h>
 #include <string.h>
 
 #include "evaluation.h"
@@ -22,7 +24,7 @@ static const double PART = 0.01;  /* of a step, between two points at first */
 static const double FINER = 4;    /* how much nearer they come each time, ... */
 static const double LESS = 255;   /* ... which makes errors of fourth order smaller by 4^4 */
 static const double ROUNDED = 16; /* roundings of a rate */
-static const double FARTHER = 64, INEXACT = 1e-4; /* a beginning after one with such an error */
+static const double FARTHER = 64, INEXACT = 1e-5; /* a beginning after one with such an error */
 
 static Status check_orders(Instance *self, size_t count, const Order orders[], int *highest) {
     if (!orders) return refuse(self, ERROR, "the orders are missing");
@@ -106,7 +108,10 @@ static Status higher_rates(Instance *self, const Reference references[], size_t 
     double rates[TIMES][N_VARIABLES];
     Differences found = {.sizes = {0}};
     const State from = self->state;
-    const double nearest = PART * typical_step(self);
+    const double shortest = 2 * DBL_EPSILON * fabs(from.values[TIME]);
+    int exponent; /* of a power of two, over which times and halves between them are not rounded */
+    frexp(fmax(PART * typical_step(self), shortest), &exponent);
+    const double nearest = ldexp(1, exponent);
     double begin = nearest, h = begin;
     for (uint32_t k = 0; k < N_VARIABLES; k++) found.errors[2][k] = found.errors[3][k] = INFINITY;
     for (bool finer, poor = true; poor && begin <= fmax(nearest, PART * LARGEST_STEP);) {
@@ -128,6 +133,7 @@ static Status higher_rates(Instance *self, const Reference references[], size_t 
             finer |= errors[references[i]] > rounding_of(orders[i], h / FINER, size);
             poor |= errors[references[i]] > INEXACT * least;
         }
+        finer &= h / FINER >= shortest;
         if (!finer) begin *= FARTHER;
         h = finer ? h / FINER : begin;
         poor |= finer;

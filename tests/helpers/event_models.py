@@ -147,6 +147,15 @@ def humming() -> Dae:
     return model.freeze()
 
 
+def swinging() -> Dae:
+    """Return the integral of cos t, and sin t as an output."""
+    model = Model("swinging", stop_time=10.0)
+    x = model.state("x", "s", 0.0, "integral")
+    model.derivative(x, ca.cos(model.t))
+    model.output("y", "1", ca.sin(model.t), "sine")
+    return model.freeze()
+
+
 def stopping() -> Dae:
     """Return a motion at 1 m/s that ends at 0.777 m."""
     model = Model("stopping", stop_time=2.0)

@@ -189,6 +189,16 @@ def test_rates_of_an_output_that_varies_faster_than_the_states_are_accurate(make
     assert list(rates) == pytest.approx(exact, rel=1e-8)
 
 
+@pytest.mark.parametrize("start", [1e6, 1e9])
+def test_rates_of_an_output_are_accurate_at_late_times(make, start):
+    fmu = make("swinging", HUMMING, 1).initialize({"start": start})
+    rates = math.cos(start), -math.sin(start), -math.cos(start)
+    for order, exact in enumerate(rates, start=1):
+        rate = reals(math.nan)
+        status = fmu("GetRealOutputDerivatives", fmu.refs("y"), 1, (c_int * 1)(order), rate)
+        assert (status, *rate) == (OK, pytest.approx(exact, abs=1e-6))  # measured 2e-7
+
+
 def test_a_state_that_is_set_in_event_mode_goes_on_from_there(make):
     fmu = make("ball", BALL, 1, 3, events=True).initialize({"stop": 2.0})
     assert fmu("EnterStepMode") == OK
