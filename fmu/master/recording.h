@@ -10,7 +10,14 @@
 /* Kinds of variables, in the order of `KINDS` in cosim/fmi/run/c_structures.py. */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, B8, TEXT };
 
-static const double EXACT = 0x1p53; /* doubles below it hold every integer */
+#define EXACT (0x1p53 - 1) /* doubles up to it hold every integer */
+
+/* The least and the greatest number of the kinds that are no reals. */
+static const double RANGES[][2] = {[I8] = {INT8_MIN, INT8_MAX},    [U8] = {0, UINT8_MAX},
+                                   [I16] = {INT16_MIN, INT16_MAX}, [U16] = {0, UINT16_MAX},
+                                   [I32] = {INT32_MIN, INT32_MAX}, [U32] = {0, UINT32_MAX},
+                                   [I64] = {-EXACT, EXACT},        [U64] = {0, EXACT},
+                                   [B8] = {-EXACT, EXACT},         [TEXT] = {0, EXACT}};
 
 /* Variables of one kind, `count` of them with `values` numbers, as arrays have several; `buffer`
  * holds the numbers as they come. */
@@ -98,9 +105,10 @@ static inline int set_row(Fmu *fmu, const Recording *self, const double *in) {
         void *const instance = fmu->call->instance;
         for (long long i = 0; i < group->values; ++i, ++column) {
             if (*column < 0) continue;
-            if (group->kind != F64 && group->kind != F32 && !(fabs(in[*column]) < EXACT))
-                return failed(fmu, "setting an integer from 2^53 on", FAILED);
-            put_number(fmu, group, i, in[*column]);
+            const double *range = RANGES[group->kind], value = in[*column];
+            if (group->kind > F32 && !(value >= range[0] && value <= range[1]))
+                return failed(fmu, "setting an integer that its type does not hold", FAILED);
+            put_number(fmu, group, i, value);
         }
         const int status =
             group->set_2 ? group->set_2(instance, group->references, n, group->buffer)

@@ -11,7 +11,7 @@ from helpers.ssp_files import values as bound_values
 from helpers.typed_part import typed_part
 
 import cosim
-from cosim.errors import ParameterError, UsageError
+from cosim.errors import ParameterError, SolverError, UsageError
 from cosim.model.inputs import InputSeries
 
 METHODS = ["jacobi", "gauss_seidel", "extrapolated", "iterated"]
@@ -99,6 +99,24 @@ def test_integers_and_enumerations_drive_each_other(part):
     system = cosim.couple({"a": part, "b": part}, wires, start_values=values)
     final = system.simulate(macro_step=0.5, stop_time=1.0).final
     assert (final["b.mode"], final["b.count"]) == (3, 1)
+
+
+def test_an_integer_that_an_enumeration_of_fmi_2_does_not_hold_is_an_error(part_3, tmp_path):
+    old = '<Enumeration name="{}" valueReference="{}" causality="{}" variability="discrete"'
+    wide = part_3
+    for name, reference, causality, start in [
+        ("mode_in", 11, "input", ' start="1"'),
+        ("mode", 12, "output", ""),
+    ]:
+        found = old.format(name, reference, causality) + f'{start} declaredType="Speed"'
+        new = found.replace("Enumeration", "Int64").removesuffix(' declaredType="Speed"')
+        wide = changed(wide, tmp_path / f"{name}.fmu", found, new)
+    parts = {"a": wide, "b": typed_part(tmp_path, 2)}
+    values = {"a.mode_in": 5 * 10**9}
+    system = cosim.couple(parts, {"b.mode_in": "a.mode"}, start_values=values)
+    with pytest.raises(SolverError, match="an integer that its type does not hold"):
+        system.simulate(macro_step=0.5)
+    assert system.simulate(macro_step=0.5, start_values={"a.mode_in": 3}).final["b.mode"] == 3
 
 
 def test_integer_drives_a_real_input_as_it_is(part):
