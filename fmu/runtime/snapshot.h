@@ -6,6 +6,7 @@
 #define SNAPSHOT_H
 
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "constants.h"
@@ -104,24 +105,16 @@ static bool plausible(const Instance *self, const State *state) {
         state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;
-    if (!all_finite(&state->motion[0][0], MOST_INPUT_ORDER * ROOM(NU))) return false;
-    if (!all_finite(state->departure, ROOM(NU))) return false;
-    if (!all_finite(state->guesses, NX) || !all_finite(state->widest, N_LIMITS)) return false;
-    if (!all_finite(state->left, N_LIMITS) || !all_finite(state->reached, NZ)) return false;
-    if (!all_finite((const double *)&state->memory, MEMORY_SIZE)) return false;
-#if HAS_RANK
-    if (!all_finite((const double *)&state->watch, WATCH_SIZE)) return false;
-#endif
+    /* from the motion of inputs on, all is doubles, up to a stop time that may be infinite */
+    const size_t first = offsetof(State, motion), end = offsetof(State, stop_time);
+    const void *numbers = (const char *)state + first;
+    if (!all_finite(numbers, (int)((end - first) / sizeof(double)))) return false;
 #if HAS_EVENTS
     const double waits = state->switching.waits;
-    if (!all_finite((const double *)&state->switching, SWITCHING_SIZE)) return false;
-    if (!all_finite((const double *)&state->before, BEFORE_SIZE)) return false;
-    if (!all_finite((const double *)&state->aside, ASIDE_SIZE)) return false;
     if (!(waits >= 0 && waits <= MODES + 1 && waits == floor(waits))) return false;
 #endif
 #if HAS_LOOKS
     const double left = state->looks.relation;
-    if (!all_finite((const double *)&state->looks, LOOKS_SIZE)) return false;
     if (!(left >= 0 && left <= MODES && left == floor(left))) return false;
 #endif
     for (int i = 0; i < N_VARIABLES; i++) {

@@ -26,8 +26,4 @@ typedef struct {
 } SolverMemory;
 #endif
 
-enum { MEMORY_SIZE = sizeof(SolverMemory) / sizeof(double) };
-
-_Static_assert(sizeof(SolverMemory) == MEMORY_SIZE * sizeof(double), "all of it is doubles");
-
 #endif

@@ -69,10 +69,6 @@ typedef struct {
         when; /* distance of what was evaluated since and is nearest to a loss; its time */
 } Watch;
 
-enum { WATCH_SIZE = sizeof(Watch) / sizeof(double) };
-
-_Static_assert(sizeof(Watch) == WATCH_SIZE * sizeof(double), "all of it is doubles");
-
 #if HAS_EVENTS
 /* The instance before an event at a communication point; all of it doubles. */
 typedef struct {
@@ -81,16 +77,12 @@ typedef struct {
     Switching switching;
 } Before;
 
-enum { BEFORE_SIZE = sizeof(Before) / sizeof(double) };
-
 /* What the next step begins with, while results are on the sides that set values require; all of it
    doubles. */
 typedef struct {
     double known, modes[ROOM(MODES)]; /* known: 1 while they are */
     Switching switching;
 } Aside;
-
-enum { ASIDE_SIZE = sizeof(Aside) / sizeof(double) };
 #endif
 
 #if HAS_LOOKS
@@ -108,8 +100,6 @@ typedef struct {
     double relation, left;      /* 1 + one that has left its mode between them, and when; 0: none */
     double warned[ROOM(MODES)]; /* 1: its passing has been logged */
 } Looks;
-
-enum { LOOKS_SIZE = sizeof(Looks) / sizeof(double) };
 #endif
 
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
