@@ -217,3 +217,10 @@ def test_long_steps_after_the_end_of_a_run_are_no_result(on_invalid):
         cosim.simulate(model.freeze(), **options)
     assert caught.value.partial.time.tolist() == [0.0, 0.5, 1.0]  # before: up to 3.5 by "stop"
     assert not caught.value.partial.stats.invalid
+
+
+def test_fixed_steps_of_which_half_would_be_too_many_are_run_without_a_check(monkeypatch):
+    monkeypatch.setattr("cosim.integrate.families.fixed_step.MOST_UNROLLED_STEPS", 100)
+    run = cosim.simulate("crank_shaft", solver="rk4", stop_time=0.9, step_size=0.01)
+    assert run["phi"][-1] == pytest.approx(50 * 0.9 + 0.5 * 10 * 0.9**2)
+    assert run.stats["note"].startswith("the error of its steps is not checked")

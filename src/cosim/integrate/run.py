@@ -190,7 +190,11 @@ def _step_check(
         What it tells, and `INTERRUPTED` if Ctrl-C ended the second run.
     """
     step = solver.step(problem)
-    finer = integrate(problem, replace(solver, step_size=step / 2), start)
+    half = replace(solver, step_size=step / 2)
+    if half.exceeds(problem):
+        note = "the error of its steps is not checked: half of them would be too many"
+        return StepCheck(note=note), Ending()
+    finer = integrate(problem, half, start)
     if finer.reason == INTERRUPTED:
         return StepCheck(), INTERRUPTED
     n = found.states.shape[1] if finer.reason else min(len(found.time), finer.states.shape[1])

@@ -50,10 +50,14 @@ class FixedStep(Solver):
         """Return the largest step for a problem, s."""
         return float(np.diff(problem.grid).max()) if self.step_size is None else self.step_size
 
+    def exceeds(self, problem: Problem) -> bool:
+        """Return whether a problem takes more steps than one may have."""
+        return float(np.ptp(problem.grid)) / self.step(problem) > MOST_UNROLLED_STEPS
+
     def engine(self, problem: Problem) -> Engine:
         """Build the engine for a problem."""
-        grid, largest = problem.grid, self.step(problem)
-        if float(grid[-1] - grid[0]) / largest > MOST_UNROLLED_STEPS:
+        largest = self.step(problem)
+        if self.exceeds(problem):
             raise ParameterError(
                 f"step_size = {largest:g} s makes more than {MOST_UNROLLED_STEPS:.0e} steps; "
                 "give a larger one"
