@@ -129,6 +129,10 @@ static inline int record_until(Exchange *self, double after, const double *end) 
     return 0;
 }
 
+static inline void note(const Exchange *self, bool event) {
+    if (self->run->note) self->run->note(self->t, self->x, event);
+}
+
 /* One step towards `goal`, accepted or not. `event` tells whether one follows. Returns how the run
  * goes on. */
 static inline int advance(Exchange *self, double goal, int *rejected, bool *event) {
@@ -176,6 +180,7 @@ static inline int advance(Exchange *self, double goal, int *rejected, bool *even
     memcpy(self->k[0], self->k[END], sizeof self->k[0]);
     memcpy(self->signs, z, sizeof z);
     run->time = self->t = after;
+    note(self, false);
     self->h = fmin(self->h * growth(error, *rejected), (run->stop - run->start) / 50);
     *rejected = 0;
     *event = state_event || step_event;
@@ -187,6 +192,7 @@ static inline int handle_event(Exchange *self) {
     Run *run = self->run;
     const Functions *call = self->fmu->call;
     ++run->events;
+    note(self, true);
     if (failed(self->fmu, "enter_event_mode", call->enter_event_mode(call->instance)) ||
         update(self->fmu, &self->events))
         return CALL_FAILED;
@@ -197,6 +203,7 @@ static inline int handle_event(Exchange *self) {
     if (run->states && failed(self->fmu, "get_states",
                               call->get_states(call->instance, self->x, (size_t)run->states)))
         return CALL_FAILED;
+    note(self, false);
     if (run->rows > 0 && near(run, run->times[run->rows - 1], self->t)) --run->rows;
     for (; run->rows < run->points && near(run, run->times[run->rows], self->t); ++run->rows)
         if (record(self->fmu, run->recording, run->rows)) return CALL_FAILED;
@@ -247,6 +254,7 @@ static inline int model_exchange(Run *run, Fmu *fmu) {
         failed(fmu, "get_states", call->get_states(call->instance, self.x, (size_t)run->states)))
         return CALL_FAILED;
     if (record(fmu, run->recording, 0)) return CALL_FAILED;
+    note(&self, false);
     run->rows = 1;
     for (int standing = 0; self.t < run->stop && run->rows < run->points;) {
         const double before = self.t;

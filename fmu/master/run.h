@@ -29,6 +29,7 @@ typedef struct {
     long long needs_completed_step, next_defined;
     double next_event, relative_tolerance;
     const double *nominals;
+    void (*note)(double t, const double *states, bool event); /* after a step, before an event */
     /* answers */
     long long how, rows, steps, calls, events, status;
     const char *function;

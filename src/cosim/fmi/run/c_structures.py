@@ -87,7 +87,13 @@ class Recording(ctypes.Structure):
     _fields_ = fields("master/recording.h", "Recording", group=ctypes.POINTER(_Group))
 
 
-_PARTS = {"functions": ctypes.POINTER(Functions), "recording": ctypes.POINTER(Recording)}
+_NUMBERS = ctypes.POINTER(ctypes.c_double)
+NOTE = ctypes.CFUNCTYPE(None, ctypes.c_double, _NUMBERS, ctypes.c_bool)
+_PARTS: dict[str, Any] = {
+    "functions": ctypes.POINTER(Functions),
+    "recording": ctypes.POINTER(Recording),
+    "note": NOTE,
+}
 
 
 class Run(ctypes.Structure):

@@ -1,6 +1,6 @@
 """`Deviations`: the motion of an FMU between events, searched for growth that no step follows."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from ctypes import c_double
 from typing import Any, NamedTuple
 
@@ -32,15 +32,20 @@ class Deviations:
         instance: fmpy's, in continuous-time mode.
         request: What to compute.
         clock: Sets time and inputs.
+        every_piece: Whether to look back before every event; else, before those that are many times
+            closer than places, only at random, so that no period of events hides a mode.
 
     Attributes:
         names: Of the states.
         rows: Times, s, and states, in their order, since the last event.
+        steps: Number of the solver's steps that have been looked at.
         found: A state that grows from few digits, or the smallest deviation that grows unseen, or
             that stays suppressed in a run that follows it; None if there is none.
     """
 
-    def __init__(self, instance: Any, request: FmuRequest, clock: Any) -> None:
+    def __init__(
+        self, instance: Any, request: FmuRequest, clock: Any, *, every_piece: bool = True
+    ) -> None:
         self._instance, self._clock = instance, clock
         self.names = state_names(request.description)
         self._tolerances = request.relative_tolerance, request.relative_tolerance
@@ -52,12 +57,15 @@ class Deviations:
         self.rows: list[tuple[float, Vector]] = []
         self._places: list[_Place] = []
         self._every: list[tuple[float, Vector]] = []  # rows of the run
-        self._steps = 0
+        self.steps = 0
+        self._random = None if every_piece else np.random.default_rng(0)
+        self._next_look = -np.inf
 
-    def note(self, time: float) -> None:
-        """Note the present states."""
+    def note(self, time: float, states: Sequence[float] | None = None) -> None:
+        """Note the present states, which the FMU tells where they are not given."""
         if self.names:
-            self.rows.append((time, self._block(self._instance.getContinuousStates)))
+            known = self._block(self._instance.getContinuousStates) if states is None else states
+            self.rows.append((time, np.array(known)))
         if len(self.rows) > _MOST_ROWS:
             del self.rows[1:-1:2]
 
@@ -67,6 +75,13 @@ class Deviations:
         Args:
             steps: Number of the solver's steps since then.
         """
+        if self._random and self.rows:
+            time = self.rows[-1][0]
+            if time < self._next_look:
+                self._keep(self.rows)
+                self.rows, self.steps = [], self.steps + steps
+                return
+            self._next_look = time + 2 * self._random.random() * self._distance
         path = self._piece(steps)
         if path is not None:
             self._remember(path)
@@ -80,8 +95,8 @@ class Deviations:
                 self._remember(last)
             path = self._linearized()
         if path is not None and not isinstance(self.found, Trough):
-            found = suppressed_growth(path, self._steps, *self._tolerances)
-            if not self._follows or stays_suppressed(path, self._steps, *self._tolerances):
+            found = suppressed_growth(path, self.steps, *self._tolerances)
+            if not self._follows or stays_suppressed(path, self.steps, *self._tolerances):
                 self.found = found
         if last is not None:
             self._rates(last.time[-1], last.states[:, -1])
@@ -89,7 +104,7 @@ class Deviations:
     def _piece(self, steps: int) -> StatePath | None:
         """Return the motion since the last event, of which troughs are judged."""
         rows, self.rows = self.rows, []
-        self._steps += steps
+        self.steps += steps
         if len(rows) < 2:
             return None
         path = self._path(
@@ -103,13 +118,16 @@ class Deviations:
 
     def _remember(self, path: StatePath) -> None:
         """Look at the equations of a piece, which the next event may change."""
-        self._every[-1:] = zip(path.time.tolist(), path.states.T, strict=True)
-        if len(self._every) > _MOST_ROWS:
-            del self._every[1:-1:2]
+        self._keep(zip(path.time.tolist(), path.states.T, strict=True))
         times = np.arange(path.time[0], path.time[-1], self._distance)
         states = np.array([np.interp(times, path.time, row) for row in path.states])
         facts = times, states.T, path.rates(times, states).T, path.slopes(times, states)
         self._places += map(_Place, *facts)
+
+    def _keep(self, rows: Iterable[tuple[float, Vector]]) -> None:
+        self._every[-1:] = rows
+        if len(self._every) > _MOST_ROWS:
+            del self._every[1:-1:2]
 
     def _linearized(self) -> StatePath:
         """Return the motion over all events, with linear equations at the places remembered."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
@@ -20,7 +21,7 @@ from cosim.codegen.runge_kutta.stage_sums import dop853_coefficients
 from cosim.errors import FmuError, MissingTool
 from cosim.fmi.archive import unpacked
 from cosim.fmi.run.arrays import with_elements
-from cosim.fmi.run.c_structures import Calls, Ending, Run, exchange_run, reject_failure
+from cosim.fmi.run.c_structures import NOTE, Calls, Ending, Run, exchange_run, reject_failure
 from cosim.fmi.run.description import Interface, asks_for_inputs, choose_interface, read_description
 from cosim.fmi.run.deviations import Deviations
 from cosim.fmi.run.instance import (
@@ -277,8 +278,8 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
         facts |= {"next_event": next_event, "relative_tolerance": request.relative_tolerance}
         shares = request.closer.shares if request.closer else 1.0
         run, _nominals = exchange_run(instance, description, calls, shares, **facts)
-        deviations = Deviations(instance, request, Clock(instance, request))
-        deviations.note(request.start)
+        deviations = Deviations(instance, request, Clock(instance, request), every_piece=False)
+        run.note = NOTE(partial(_note, run, deviations))
     else:
         any_step = description.coSimulation.canHandleVariableCommunicationStepSize
         facts |= {"stop": request.stop, "any_step": any_step}
@@ -286,14 +287,8 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
     with interruptible(library) as interrupts:
         library.run_fmu(ctypes.byref(run))
     reject_failure(run, interrupts, request.stop)
-    if deviations and not run.events:
-        recorded = [variable.name for variable in request.recorded]
-        if {*deviations.names} <= {*recorded}:
-            places = [recorded.index(name) for name in deviations.names]
-            inner = slice(1, run.rows - 1)
-            deviations.rows += zip(points[inner].tolist(), rows[inner, places], strict=True)
-        deviations.note(run.time)
-        deviations.judge(run.steps)
+    if deviations:
+        deviations.judge(run.steps - deviations.steps)
     rows.setflags(write=False)
     stats = {"steps": run.steps, "events": run.events}
     if run.how == Ending.ENDED_BY_FMU:
@@ -302,6 +297,14 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
     if exchange:
         stats["rhs_calls"] = run.calls
     return MasterRun(points, rows, stats, deviations.found if deviations else None)
+
+
+def _note(run: Run, deviations: Deviations, time: float, states: Any, before_event: bool) -> None:
+    """Note where an FMU is; look back before an event."""
+    if before_event:
+        deviations.pass_event(run.steps - deviations.steps)
+    else:
+        deviations.note(time, states[: run.states])
 
 
 @cached_per_thread(8)
