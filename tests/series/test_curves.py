@@ -50,6 +50,16 @@ def test_peak_between_two_rows_is_found_with_its_time():
     assert sine.extremes.high_at[0] == pytest.approx(np.pi / 2, abs=1e-7)
 
 
+@pytest.mark.parametrize("places", [(0.3,), tuple(np.arange(1, 401) / 401)], ids=["one", "many"])
+def test_no_value_is_beyond_those_of_a_jump_that_is_no_event(places):
+    def sides(t):
+        return 1 - 2.0 * (np.searchsorted(places, t) % 2)
+
+    found = known(sides, np.linspace(0, 1, 21))
+    assert (found.extremes.low[0], found.extremes.high[0]) == (-1, 1)  # before: 1.32 and 1.54
+    assert not found.resolved.any()
+
+
 def test_both_sides_of_a_jump_count_and_nothing_beyond_them():
     def saw(t):
         return np.where(t < 1, t, t - 1)

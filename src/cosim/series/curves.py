@@ -1,7 +1,7 @@
 """`Curves`: a motion as polynomials, for its extremes, means and crossings between output times."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -54,6 +54,15 @@ class Extremes(NamedTuple):
     high_at: Vector
 
 
+class _Leaf(NamedTuple):
+    """A panel that is refined no further, and in which curves are rough; see `Curves`."""
+
+    begin: float
+    end: float
+    values: Vector
+    rough: Truths
+
+
 @dataclass(frozen=True, eq=False)
 class Curves:
     """A motion over a span: on each panel, every curve is a polynomial of degree 15.
@@ -62,14 +71,20 @@ class Curves:
         rows: Known values.
         begins, ends: Panels in the order of time, s, (panels,).
         values: At the nodes of each panel, (panels, nodes, curves).
-        resolved: Whether each curve is known to the requested accuracy, (curves,).
+        rough: Whether each curve is less well known than requested, (panels, curves): beside a
+            jump, its polynomial overshoots.
     """
 
     rows: Rows
     begins: Vector
     ends: Vector
     values: Vector
-    resolved: Truths
+    rough: Truths
+
+    @property
+    def resolved(self) -> Truths:
+        """Whether each curve is known to the requested accuracy, (curves,)."""
+        return np.asarray(~self.rough.any(axis=0) & bool(len(self.begins)))
 
     @property
     def span(self) -> float:
@@ -141,6 +156,9 @@ class Curves:
         if len(self.begins):
             seen = sign * (_SEEN @ self.values).reshape(-1, count)
             jumps = self._at_jumps()
+            # beside a jump, all coefficients are about as large as the last ones
+            doubt = np.where(self.rough, _NODES, 1) * _tail(_FIT @ self.values)
+            seen -= np.repeat(doubt, _FINE + 1, axis=0)
             seen[jumps.ravel()] = -np.inf
             seen[~np.isfinite(seen)] = -np.inf
             panel, place = np.divmod(seen.argmax(axis=0), _FINE + 1)
@@ -148,7 +166,7 @@ class Curves:
             limits = np.where(jumps[panel][:, [0, -1]], _AT[[0, -1]], _LOOKS[[0, -1]]).T
             value, where = _peaks(fits, place, limits)
             begin, end = self.begins[panel], self.ends[panel]
-            noise = _tail(fits) + 4 * np.spacing(np.abs(found))
+            noise = doubt[panel, columns] + 4 * np.spacing(np.abs(found))
             better = value - found > noise  # else the known value is as good, and exact
             found = np.where(better, value, found)
             at = np.where(better, begin + (where + 1) / 2 * (end - begin), at)
@@ -160,7 +178,7 @@ def of_rows(rows: Rows) -> Curves:
     """Return what is known of a motion if only rows of it are."""
     count = rows.values.shape[1]
     ends, values = np.empty(0), np.empty((0, _NODES, count))
-    return Curves(rows, ends, ends, values, np.zeros(count, dtype=bool))
+    return Curves(rows, ends, ends, values, np.empty((0, count), dtype=bool))
 
 
 def curves(
@@ -191,10 +209,9 @@ def curves(
     first = _first_panels(begin, end, breaks, len(rows[0].time))
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
-    leaves = [list[tuple[float, float, Vector]]() for _ in rows]
+    leaves = [list[_Leaf]() for _ in rows]
     first = [panel for panel in first if _width(panel) > shortest]
     waiting = dict.fromkeys(range(len(rows)), first)
-    resolved = np.ones((len(rows), len(sizes)), dtype=bool)
     largest = [_largest(own.values) for own in rows]
     for level in range(_LEVELS + 1):
         panels = sorted({panel for own in waiting.values() for panel in own})
@@ -224,11 +241,10 @@ def curves(
                     waiting[run] += pairwise(parts)
                     older |= {(run, part): (parent, tail) for part in pairwise(parts)}
                 else:
-                    leaves[run].append((*panel, here))
-                    resolved[run] &= ~bad
+                    leaves[run].append(_Leaf(*panel, here, bad))
     return [
-        _joined(own, sorted(mine, key=lambda leaf: leaf[0]), known)
-        for own, mine, known in zip(rows, leaves, resolved, strict=True)
+        _joined(own, sorted(mine, key=lambda leaf: leaf.begin))
+        for own, mine in zip(rows, leaves, strict=True)
     ]
 
 
@@ -255,11 +271,10 @@ def _largest(values: Vector) -> Vector:
     return size
 
 
-def _joined(rows: Rows, leaves: list[tuple[float, float, Vector]], resolved: Truths) -> Curves:
+def _joined(rows: Rows, leaves: list[_Leaf]) -> Curves:
     if not leaves:
-        return replace(of_rows(rows), resolved=resolved)
-    begins, ends, values = zip(*leaves, strict=True)
-    return Curves(rows, np.array(begins), np.array(ends), np.array(values), resolved)
+        return of_rows(rows)
+    return Curves(rows, *(np.array(column) for column in zip(*leaves, strict=True)))
 
 
 def first_crossing(time: Vector, heights: Vector) -> float:
