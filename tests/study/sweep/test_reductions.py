@@ -86,3 +86,4 @@ def test_store_says_which_numbers_are_of_the_rows(solver, of_rows):
     run = {"stop_time": 0.1, "solver": solver, "workers": 0}
     found = cosim.sweep("crank_shaft", {"omega": [40, 50]}, keep=["max(phi)"], **run)
     assert found.to_xarray()["phi_max"].attrs["long_name"] == "max of phi" + of_rows
+    assert ("; max of the rows" in repr(found)) is bool(of_rows)  # before: never

@@ -177,6 +177,9 @@ class SweepResult:
         units = layout.number_units
         rows += [range_row(name, units.get(name, ""), v) for name, v in self.numbers.items()]
         head = f"{self.model}: {counted(len(self), 'run')}, {self.status}"
+        kinds = dict.fromkeys(r.kind for r in layout.keep.reductions if r.of_motion)
+        if layout.of_rows and kinds:
+            head += f"; {', '.join(kinds)} of the rows"
         return "\n".join(
             [head, text_table(rows, most=MOST_LINES - 2), *first_of("reason", self.reasons)]
         )
