@@ -39,6 +39,7 @@ from cosim.codegen.changes import (
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
+_BEYOND = np.array([1e9, 1e12, 1e15])  # where the search of a term goes on that rests there
 _ANYWHERE = 1e20  # of the others meanwhile: as if they had no end, but for their powers
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
 #              that a step over it sees
@@ -198,8 +199,15 @@ def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
 
 
 def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Change]:
-    reach = np.array([-_FARTHEST, _FARTHEST])
-    values, found = _bent(dae, term, knots, p, reach)
+    near = np.array([-_FARTHEST, _FARTHEST])
+    values, found = _bent(dae, term, knots, p, near)
+    far = np.concatenate((-_BEYOND[::-1], near, _BEYOND))
+    ends = values(far)
+    with np.errstate(invalid="ignore"):
+        rests = np.abs(ends[[1, -2]] - ends[[0, -1]]) <= FLAT * np.ptp(ends)
+    if rests.all():
+        beyond = _bent(dae, term, knots, p, far)[1]
+        found = beyond if beyond.is_whole else found
     changes = list[_Change]()
     for edges in apart(found.parts):
         at = with_surroundings(edges, _INNER)
@@ -301,19 +309,21 @@ def _is_table(function: ca.Function) -> bool:
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
     """Return where a term of several quantities may move; None if unknown.
 
-    If it is a function of one quantity of them, these are places of that. Else it rests beyond
+    If it is a function of one quantity of them, these are places of that. It also rests beyond
     parts of the way of each quantity, wherever the others are: whoever gets to where it moves
     passes the end of one of them. A slope, which ends at another value than it begins, has none.
     """
-    for term in several.alone:
-        if changes := _changes(dae, term, np.empty(0), p):
-            return changes
+    each = (_changes(dae, term, np.empty(0), p) for term in several.alone)
+    found = next(filter(None, each), list[_Change]())
+    moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
+    if found and not any(ca.which_depends(found[0].term.variable, moving, 2, False)):
+        return found
     terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends, dae.p)
     if within is None:
-        return None if _calls_table(several.value) else []
+        return None if _calls_table(several.value) else found
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
     def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:
@@ -327,13 +337,13 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     rows = np.arange(len(begins)) // 2
     size = float(widths(rows[:1], begins[:1], -begins[:1])[0])
     if not np.isfinite(size):
-        return []
+        return found
 
     def rests(to: Vector) -> Truths:
         own = widths(np.tile(rows, len(to)), np.tile(begins, len(to)), to.ravel())
         return np.asarray(own.reshape(to.shape) <= FLAT * size)
 
-    last, found = _last_flat(rests, begins), list[_Change]()
+    last = _last_flat(rests, begins)
     for term, first, final in zip(terms, last[::2], last[1::2], strict=True):
         if -_FARTHEST < first < final < _FARTHEST:
             found.append(_Change(term, np.linspace(first, final, _ACROSS), is_step=False))

@@ -67,6 +67,16 @@ def test_no_importer_steps_over_a_bump_of_a_table(kind, tmp_path):
     np.testing.assert_allclose(heights(path), after_an_impulse(HEIGHT * 0.1), rtol=1e-3)
 
 
+def test_no_importer_steps_over_a_bump_beyond_a_million_of_its_unit(tmp_path):
+    t, x = SX.sym("t"), SX.sym("x", 3)
+    bump = HEIGHT * ca.exp(-((x[0] - 5.03e7) ** 2) / 1e8)  # which begins at 0
+    ode = ca.vertcat(1e7, x[2], -25 * (x[1] - bump) - x[2])
+    dae = cosim.from_casadi({"t": t, "x": x, "ode": ode}, {}, name="far", stop_time=7)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    right = after_an_impulse(HEIGHT * np.sqrt(np.pi) * 1e-2)
+    np.testing.assert_allclose(heights(path), right, rtol=1e-3)  # before: 0
+
+
 @pytest.mark.slow
 def test_two_opposite_slopes_of_one_state_are_a_bump(tmp_path):
     dae = on_road(two_slopes, begin=PLACE, end=PLACE + 3 * WIDTH)
@@ -140,6 +150,7 @@ ACROSS = {  # both are c on the diagonal: the form, with the area of a slice alo
     "ridge": (lambda c, d: ca.exp(-((3 * c - 2 * d) ** 2)), ALONG),
     "ridge by a quotient": (lambda c, d: 1 / (1 + (3 * c - 2 * d) ** 2) ** 3, 3 * np.pi / 8),
     "hill by a quotient": (lambda c, d: 1 / (1 + (c**2 + d**2) / 2) ** 3, 3 * np.pi / 8),
+    "hill by a slope": (lambda c, d: (1 + ca.tanh(4 - 2 * (c**2 + d**2))) / 2, 1.98595443),
 }
 
 
@@ -196,8 +207,13 @@ def test_nothing_steps_over_a_bump_of_inputs_and_unknowns_or_in_conditions(role,
 def test_a_ring_has_places_along_its_radius():
     dae = on_hill(lambda c, d: ca.exp(-((ca.sqrt(c**2 + d**2) - 3) ** 2)))
     found = landmarks(dae)
-    assert (found.moving, found.passed) == (("x_1, x_4",), ())
-    radii = ca.Function("radii", [dae.x, dae.p], [found.arguments])([PLACE, 0, 0, PLACE], [50.3, 1])
+    assert (found.moving, found.passed) == (("x_1, x_4", "x_1", "x_4"), ())
+    both = [
+        a for a in ca.vertsplit(found.arguments) if all(ca.depends_on(a, dae.x[i]) for i in (0, 3))
+    ]
+    radii = ca.Function("radii", [dae.x, dae.p], [ca.vertcat(*both)])(
+        [PLACE, 0, 0, PLACE], [50.3, 1]
+    )
     np.testing.assert_allclose(np.median(np.array(radii)), -3, atol=0.2)
 
 
