@@ -17,6 +17,7 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 from cosim.text import moment
 
+EFFECT = 100  # least error that matters, in relative tolerances
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
@@ -133,14 +134,34 @@ def suppressed_growth(
     if len(path.time) < 2 or not len(path.states):
         return None
     rows = _rows_per_step(path.time, steps)
-    spans = _straight(path, rows, relative, absolute * path.sizes)
-    found = [growth_along(path, *span, absolute) for span in spans]
-    if spans or steps >= len(path.time):  # where steps are closer than rows, a line may be shorter
-        found += [
-            growth_along(line, 0, last, calm, absolute)
-            for line, last, calm in _first_lines(path, relative, absolute)
-        ]
-    return min(filter(None, found), key=lambda growth: (growth.rounding, growth.size), default=None)
+    # of what is less than `half`, the error control keeps less than half of the digits
+    half = absolute / np.sqrt(relative or 1.0)
+    for level, least, error in ((absolute, absolute, np.inf), (half, EFFECT * relative, absolute)):
+        if level == half and not _may_grow(path, least / error):
+            break
+        spans = _straight(path, rows, relative, level * path.sizes)
+        found = [growth_along(path, *span, least, error) for span in spans]
+        if spans or steps >= len(
+            path.time
+        ):  # where steps are closer than rows, a line may be short
+            found += [
+                growth_along(line, 0, last, calm, least, error)
+                for line, last, calm in _first_lines(path, relative, level)
+            ]
+        if some := [own for own in found if own and (own.size < level or error == np.inf)]:
+            return min(some, key=lambda growth: (growth.rounding, growth.size))
+    return None
+
+
+def _may_grow(path: StatePath, factor: float) -> bool:
+    """Return whether a deviation may grow by a factor, as slopes along a motion tell."""
+    rows = np.unique(np.linspace(0, len(path.time) - 1, _MORE * _PLACES).astype(int))
+    slopes = path.slopes(path.time[rows], path.states[:, rows])
+    slopes = slopes[_finite(slopes)]
+    rates = np.linalg.eigvals(_distinct(slopes)).real if len(slopes) else np.zeros(1)
+    return bool(
+        factor > 0 and np.exp(min(rates.max() * np.ptp(path.time), _MOST_EXPONENT)) > factor
+    )
 
 
 def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
@@ -269,7 +290,7 @@ def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
 
 
 def growth_along(
-    path: StatePath, first: int, last: int, calm: Truths, absolute: float
+    path: StatePath, first: int, last: int, calm: Truths, least: float, error: float = np.inf
 ) -> Growth | None:
     """Return the smallest deviation that grows along a line and becomes visible by the last row.
 
@@ -277,7 +298,8 @@ def growth_along(
         path: See `suppressed_growth`.
         first, last: Rows between which states are lines in time.
         calm: Which of them are, (nx,).
-        absolute: Absolute tolerance, in nominal values.
+        least: What is visible, in nominal values.
+        error: Of a deviation that is larger; it then has to become visible.
     """
     t, sizes = path.time, path.sizes
     rate = path.rates(t[[first]], path.states[:, [first]])
@@ -307,7 +329,7 @@ def growth_along(
         if not len(rising):
             continue
         size = float(push[rising].min()) / abs(value)
-        if size * np.exp(exponents[-1]) > absolute:
+        if min(size, error) * np.exp(exponents[-1]) > least:
             state = path.names[int(np.argmax(np.abs(direction)))]
             begin = float(t[rows[rising[0]]])
             grown = exponents - np.interp(begin, course.time, exponents)

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
-from cosim.model.growth import Closer, StatePath
+from cosim.model.growth import EFFECT, Closer, StatePath
 from cosim.series.samples import ROUNDING_OF_OTHERS
 from cosim.text import moment
 
 MOST_TRIALS = 6  # of a run, each with a smaller tolerance
-_EFFECT = 100  # least error that matters, in relative tolerances
 _TINY = 1e-60  # nominal values, of a state whose own rate is proportional to it
 _FEW_LOOKS, _LOOKS = 3, 50  # rows of a motion at which a state may rest at 0
 _SPARE = 0.01  # of the least tolerance that controls all digits
@@ -99,7 +98,7 @@ def deepest_trough(
         row, size, group = lost
         # the error that it gets from there, in nominal values
         peak = levels[group, end:].max() if is_left else np.inf
-        matters = relative * (1 if shares[i] < 1 else _EFFECT)
+        matters = relative * (1 if shares[i] < 1 else EFFECT)
         if absolute * shares[i] * peak <= matters * size:
             continue
         unknown = not alone[i] and _crosses(path, i, rows)
