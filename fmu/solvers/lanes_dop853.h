@@ -15,7 +15,7 @@
 
 #include "lanes_limits.h"
 
-enum { REPORT = 9 };
+enum { REPORT = 8 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
 #define MOST_TRIALS 100000               /* per output interval */
@@ -122,7 +122,6 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     report[5] = self->spent[lane];
     report[6] = left;
     report[7] = self->limit[lane];
-    report[8] = self->straight[lane];
     if (batch->steps) batch->steps[run] = self->planned[lane];
     self->run[lane] = -1;
     self->h[lane] = 0;
@@ -156,7 +155,6 @@ static int refill(Lanes *self, const Batch *batch) {
             self->calls[l] = 2;
             self->rejected[l] = 0;
             self->spent[l] = 0;
-            self->straight[l] = batch->grid[0];
             self->left[l] = INFINITY;
             self->limit[l] = -1;
             self->proven.t[l] = batch->grid[0];
@@ -255,19 +253,6 @@ static void sample(Lanes *self, const Batch *batch, int lane, double after) {
     }
 }
 
-/* Notes the lanes whose motion, a line in time from the start, goes on as one to the tolerance. */
-static void note_straight(Lanes *self, const Batch *batch, M good, V after) {
-    int some = 0;
-    FOR_LANES some |= good[l] && self->straight[l] == self->t[l];
-    if (!some) return;
-    for (int i = 0; i < NX; ++i) self->sum[i] = self->h * (self->k[END][i] - self->k[0][i]);
-    const V bend = norm(self, batch, self->sum, self->x);
-    FOR_LANES {
-        const int follows = good[l] && self->straight[l] == self->t[l];
-        if (follows && bend[l] <= 1) self->straight[l] = after[l];
-    }
-}
-
 /* One step of all lanes. */
 static void step(Lanes *self, const Batch *batch) {
     const double stop = batch->grid[batch->points - 1], span = stop - batch->grid[0];
@@ -303,7 +288,6 @@ static void step(Lanes *self, const Batch *batch) {
         if (wants) self->calls[l] += EXTENDED - STAGES - 1;
         dense |= wants;
     }
-    note_straight(self, batch, good, after);
     if (dense) interpolants(self);
     if (some && NB > 0) look_by_bounds(self, looks, after);
     if (some && NB < NL) look(self, looks, after);

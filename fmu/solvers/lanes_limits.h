@@ -53,7 +53,6 @@ typedef struct {
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
     int rejected[LANES], final[LANES];
     double spent[LANES], left[LANES]; /* when a limit was left first; infinite: never */
-    double straight[LANES];           /* until when the motion from the start is a line in time */
     int limit[LANES];
     double *kept; /* needed states by lane, state and time */
     long long stride;

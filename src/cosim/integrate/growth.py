@@ -9,17 +9,19 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from casadi_models.dae.expressions import at_irregular_place
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.growth import (
+    SHORTEST,
     Closer,
     Growth,
     StatePath,
-    growth_along,
+    controlled_half,
+    growth_from_start,
     stays_suppressed,
     suppressed_growth,
 )
@@ -223,7 +225,7 @@ def _blocks(dae: Dae) -> ca.Function:
 
 
 def growing_starts(
-    dae: Dae, starts: Sequence[Vector], span: tuple[float, Vector, float], absolute: float
+    dae: Dae, starts: Sequence[Vector], span: tuple[float, float], tolerance: tuple[float, float]
 ) -> Truths:
     """Return in which runs a deviation from a motion that begins as a line grows unseen, (runs,).
 
@@ -231,25 +233,36 @@ def growing_starts(
         dae: A model without algebraic unknowns.
         starts: Initial and nominal values of the states, inputs, parameters: (runs, nx) twice,
             (runs, nu), (runs, np).
-        span: Start of the runs, how long each is a line, (runs,), and their end, s.
-        absolute: Absolute tolerance, in nominal values.
+        span: Start and end of the runs, s.
+        tolerance: Relative and absolute tolerance, the latter in nominal values.
     """
     x, sizes, u, p = (rows.T for rows in starts)
-    begin, straight, end = span
-    found = np.zeros(len(straight), dtype=bool)
-    if not found.size:
+    begin, end = span
+    found = np.zeros(x.shape[1], dtype=bool)
+    if not (found.size and _fed_back(dae).any()):
         return found
-    known = np.full((1, len(found)), begin), x, np.empty((0, 1)), u, p
-    rate, slopes = np.array(equations(dae)(*known)[0]), _slopes(dae, *known)
-    slopes[~np.isfinite(slopes).all(axis=(1, 2))] = 0
-    own, which = np.unique(slopes.reshape(len(found), -1), axis=0, return_inverse=True)
-    values = np.linalg.eigvals(own.reshape(-1, *slopes.shape[1:]))
-    fastest = values.real.max(axis=1)[which.ravel()]
-    every = np.ones(len(x), dtype=bool)
-    for i in np.flatnonzero(fastest * (straight - begin) > 1):
-        at = np.array([begin, straight[i], end])
-        line = x[:, [i]] + rate[:, [i]] * (np.fmin(at, straight[i]) - begin)
-        motion = Motion(dae, at, line, np.empty((0, len(at))), u[:, [i]], p[:, i], Counts())
-        path = _path(motion, sizes[:, i])
-        found[i] = growth_along(path, 0, 1, every, absolute) is not None
+
+    def known(runs: Integers) -> tuple[Vector, ...]:
+        at = np.full((1, len(runs)), begin)
+        return at, x[:, runs], np.empty((0, 1)), u[:, runs], p[:, runs]
+
+    def calm(runs: Integers, length: Vector) -> Integers:
+        """Return the runs whose motion is a line for a time, s."""
+        t, start, *others = known(runs)
+        rate = np.array(equations(dae)(t, start, *others)[0])
+        ahead = start + length * rate
+        bend = length * np.abs(np.array(equations(dae)(t + length, ahead, *others)[0]) - rate)
+        small = controlled_half(*tolerance) * sizes[:, runs]
+        return runs[(bend <= tolerance[0] * np.abs(ahead) + small).all(axis=0)]
+
+    runs = calm(np.arange(len(found)), np.full(len(found), SHORTEST * (end - begin)))
+    if not runs.size:
+        return found
+    slopes = _slopes(dae, *known(runs)) * sizes.T[runs, None] / sizes.T[runs, :, None]
+    growth = np.nan_to_num(np.linalg.norm(slopes, axis=(1, 2)), posinf=0.0)
+    some = growth * (end - begin) > 1
+    for i in calm(runs[some], 1 / growth[some]):
+        at = np.array([begin, end])
+        motion = Motion(dae, at, x[:, [i, i]], np.empty((0, 2)), u[:, [i]], p[:, i], Counts())
+        found[i] = growth_from_start(_path(motion, sizes[:, i]), *tolerance) is not None
     return found

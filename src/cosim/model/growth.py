@@ -8,7 +8,7 @@ beginning, it needs a smaller tolerance. Where rounding alone keeps a motion at 
 tolerance helps.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ _MORE = 4  # times as many where the equations change along it
 _SHORTER = 4  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
 _MOST_EXPONENT = 600.0
-_SHORTEST = 1e-3  # of a run: its first line
+SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
 _COUPLED = 1e-6  # least share of a state in what grows
 
@@ -134,23 +134,53 @@ def suppressed_growth(
     if len(path.time) < 2 or not len(path.states):
         return None
     rows = _rows_per_step(path.time, steps)
-    # of what is less than `half`, the error control keeps less than half of the digits
-    half = absolute / np.sqrt(relative or 1.0)
-    for level, least, error in ((absolute, absolute, np.inf), (half, EFFECT * relative, absolute)):
-        if level == half and not _may_grow(path, least / error):
-            break
-        spans = _straight(path, rows, relative, level * path.sizes)
-        found = [growth_along(path, *span, least, error) for span in spans]
+    for level in _levels(path, relative, absolute):
+        spans = _straight(path, rows, relative, level.calm * path.sizes)
+        lines = [(path, *span) for span in spans]
         if spans or steps >= len(
             path.time
         ):  # where steps are closer than rows, a line may be short
-            found += [
-                growth_along(line, 0, last, calm, least, error)
-                for line, last, calm in _first_lines(path, relative, level)
-            ]
-        if some := [own for own in found if own and (own.size < level or error == np.inf)]:
-            return min(some, key=lambda growth: (growth.rounding, growth.size))
+            lines += _first_lines(path, relative, level.calm)
+        if found := level.smallest(lines):
+            return found
     return None
+
+
+def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
+    """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
+    for level in _levels(path, relative, absolute):
+        if found := level.smallest(_first_lines(path, relative, level.calm)):
+            return found
+    return None
+
+
+_Line = tuple[StatePath, int, int, Truths]  # a path, the rows between which it is one, which states
+
+
+class _Level(NamedTuple):
+    """What is looked for: a change that is calm, what is visible, and the error of a deviation."""
+
+    calm: float
+    least: float
+    error: float
+
+    def smallest(self, lines: Iterable[_Line]) -> Growth | None:
+        """Return the smallest deviation that grows along lines."""
+        every = (growth_along(*line, self.least, self.error) for line in lines)
+        few = [own for own in every if own and (own.size < self.calm or self.error == np.inf)]
+        return min(few, key=lambda growth: (growth.rounding, growth.size), default=None)
+
+
+def _levels(path: StatePath, relative: float, absolute: float) -> Iterator[_Level]:
+    """Yield levels: of what no step follows, then of what is followed with few digits."""
+    yield _Level(absolute, absolute, np.inf)
+    if _may_grow(path, EFFECT * relative / absolute):
+        yield _Level(controlled_half(relative, absolute), EFFECT * relative, absolute)
+
+
+def controlled_half(relative: float, absolute: float) -> float:
+    """Return the size of which the error control keeps half of the digits, in nominal values."""
+    return float(absolute / np.sqrt(relative or 1.0))
 
 
 def _may_grow(path: StatePath, factor: float) -> bool:
@@ -187,14 +217,8 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
     return any(growth and not growth.rounding for growth in found)
 
 
-def _first_lines(
-    path: StatePath, relative: float, absolute: float
-) -> Iterator[tuple[StatePath, int, Truths]]:
-    """Return lines from the start that are ones to the tolerance.
-
-    Returns:
-        A path with rows along the line, the row at its end, and which states lie on it, (nx,).
-    """
+def _first_lines(path: StatePath, relative: float, absolute: float) -> Iterator[_Line]:
+    """Yield lines from the start that are ones to the tolerance, with rows along them."""
     begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
     rate = path.rates(path.time[:1], x)
     times = np.linspace(begin, stop, _PLACES)
@@ -207,7 +231,7 @@ def _first_lines(
         return
     length = stop - begin
     before = np.zeros(len(x), dtype=bool)
-    while length > _SHORTEST * (stop - begin) and not before.all():
+    while length > SHORTEST * (stop - begin) and not before.all():
         end = x + length * rate
         bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
         calm = (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all(axis=1)
@@ -215,7 +239,7 @@ def _first_lines(
             time = np.union1d(path.time, np.linspace(begin, begin + length, _PLACES))
             states = np.array([np.interp(time, path.time, row) for row in path.states])
             last = int(time.searchsorted(begin + length))
-            yield replace(path, time=time, states=states), last, calm
+            yield replace(path, time=time, states=states), 0, last, calm
         before |= calm
         length /= _SHORTER
 

@@ -39,9 +39,8 @@ STUCK, HALTED, OUTSIDE = 1, 5, 6
 # Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
 # ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
 # of the tolerance; left: time from which a validity condition is violated, s, infinite for none;
-# limit: position of that condition; straight: time up to which the motion from the start is a line
-# in time, to the tolerance.
-_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit", "straight")
+# limit: position of that condition.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit")
 _REPORT = np.dtype([(name, float) for name in _FIELDS])
 
 
@@ -148,7 +147,6 @@ def run_lanes(
     first = min(int(following[0]), runs)  # the first run that no lane has begun
     report[first:] = 0
     report["code"][first:], report["left"][first:] = HALTED, np.inf
-    report["straight"][first:] = grid[0]
     values[first:] = np.nan
     return values, report, perf_counter() - began
 
@@ -216,15 +214,10 @@ def in_lanes(
         error=report["error"] * max(tolerance.pair),
         stats={"lanes": lanes, "solve_time": solve_time},
     )
-    straight = ended["straight"] > grid[0]
-    lines = going[straight]
-    growing = growing_starts(
-        dae,
-        [rows[lines] for rows in table],
-        (float(grid[0]), ended["straight"][straight], float(grid[-1])),
-        tolerance.pair[1],
-    )
-    return ensemble, lines[growing], going[ended["code"] == STUCK]
+    begun = going[ended["code"] != HALTED]
+    span = float(grid[0]), float(grid[-1])
+    growing = growing_starts(dae, [rows[begun] for rows in table], span, tolerance.pair)
+    return ensemble, begun[growing], going[ended["code"] == STUCK]
 
 
 def _without_start(
