@@ -26,7 +26,7 @@ def test_cosine_whose_periods_are_the_output_intervals_has_its_own_numbers():
     assert cosine.mean()[0] == pytest.approx(0, abs=1e-12)  # measured 2e-15
     assert cosine.rms()[0] == pytest.approx(np.sqrt(0.5), rel=1e-9)
     assert cosine.first(0, 0.5) == pytest.approx(1 / 600, rel=1e-9)
-    assert cosine.resolved.all()
+    assert not cosine.rough.any()
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_no_value_is_beyond_those_of_a_jump_that_is_no_event(places):
 
     found = known(sides, np.linspace(0, 1, 21))
     assert (found.extremes.low[0], found.extremes.high[0]) == (-1, 1)  # before: 1.32 and 1.54
-    assert not found.resolved.any()
+    assert found.rough.any()
 
 
 def test_both_sides_of_a_jump_count_and_nothing_beyond_them():

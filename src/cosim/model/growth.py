@@ -148,10 +148,9 @@ def suppressed_growth(
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
-    for level in _levels(path, relative, absolute):
-        if found := level.smallest(_first_lines(path, relative, level.calm)):
-            return found
-    return None
+    levels = _levels(path, relative, absolute)
+    every = (level.smallest(_first_lines(path, relative, level.calm)) for level in levels)
+    return next(filter(None, every), None)
 
 
 _Line = tuple[StatePath, int, int, Truths]  # a path, the rows between which it is one, which states
@@ -203,18 +202,13 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
         path, steps, relative, absolute: See `suppressed_growth`; of a run that follows deviations.
     """
     spans = _straight(path, _rows_per_step(path.time, steps), relative, absolute * path.sizes)
-    lines = (
-        (
-            replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1]),
-            first,
-            last,
-            calm,
-        )
-        for first, last, calm in spans
-    )
     hidden = absolute / relative if relative else np.inf
-    found = (growth_along(*line, hidden) for line in lines)
-    return any(growth and not growth.rounding for growth in found)
+    for first, last, calm in spans:
+        line = replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1])
+        growth = growth_along(line, first, last, calm, hidden)
+        if growth and not growth.rounding:
+            return True
+    return False
 
 
 def _first_lines(path: StatePath, relative: float, absolute: float) -> Iterator[_Line]:

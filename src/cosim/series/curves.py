@@ -54,15 +54,6 @@ class Extremes(NamedTuple):
     high_at: Vector
 
 
-class _Leaf(NamedTuple):
-    """A panel that is refined no further, and in which curves are rough; see `Curves`."""
-
-    begin: float
-    end: float
-    values: Vector
-    rough: Truths
-
-
 @dataclass(frozen=True, eq=False)
 class Curves:
     """A motion over a span: on each panel, every curve is a polynomial of degree 15.
@@ -80,16 +71,6 @@ class Curves:
     ends: Vector
     values: Vector
     rough: Truths
-
-    @property
-    def resolved(self) -> Truths:
-        """Whether each curve is known to the requested accuracy, (curves,)."""
-        return np.asarray(~self.rough.any(axis=0) & bool(len(self.begins)))
-
-    @property
-    def span(self) -> float:
-        """Length of the motion, s."""
-        return float(self.rows.time[-1] - self.rows.time[0])
 
     @cached_property
     def extremes(self) -> Extremes:
@@ -141,9 +122,9 @@ class Curves:
             halves = (self.ends - self.begins) / 2
             total = np.einsum("p,k,pkc->c", halves, _WEIGHTS, self.values**power)
             return np.asarray(total / (2 * halves.sum()))
-        if not self.span:
+        if not (span := np.ptp(time)):
             return np.asarray(rows[0] ** power)
-        return np.asarray(np.trapezoid(rows**power, time, axis=0) / self.span)
+        return np.asarray(np.trapezoid(rows**power, time, axis=0) / span)
 
     def _highest(self, sign: float) -> tuple[Vector, Vector]:
         """Return the largest value of each curve times a sign, and when it occurs."""
@@ -209,7 +190,7 @@ def curves(
     first = _first_panels(begin, end, breaks, len(rows[0].time))
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
-    leaves = [list[_Leaf]() for _ in rows]
+    leaves = [list[tuple[float, float, Vector, Truths]]() for _ in rows]
     first = [panel for panel in first if _width(panel) > shortest]
     waiting = dict.fromkeys(range(len(rows)), first)
     largest = [_largest(own.values) for own in rows]
@@ -241,10 +222,11 @@ def curves(
                     waiting[run] += pairwise(parts)
                     older |= {(run, part): (parent, tail) for part in pairwise(parts)}
                 else:
-                    leaves[run].append(_Leaf(*panel, here, bad))
+                    leaves[run].append((*panel, here, bad))
+    joined = (zip(*sorted(mine, key=lambda leaf: leaf[0]), strict=True) for mine in leaves)
     return [
-        _joined(own, sorted(mine, key=lambda leaf: leaf.begin))
-        for own, mine in zip(rows, leaves, strict=True)
+        Curves(own, *map(np.array, columns)) if mine else of_rows(own)
+        for own, mine, columns in zip(rows, leaves, joined, strict=True)
     ]
 
 
@@ -269,12 +251,6 @@ def _largest(values: Vector) -> Vector:
     """Return the size of each column, (curves,)."""
     size: Vector = np.where(np.isfinite(values), np.abs(values), 0.0).max(axis=0, initial=0.0)
     return size
-
-
-def _joined(rows: Rows, leaves: list[_Leaf]) -> Curves:
-    if not leaves:
-        return of_rows(rows)
-    return Curves(rows, *(np.array(column) for column in zip(*leaves, strict=True)))
 
 
 def first_crossing(time: Vector, heights: Vector) -> float:

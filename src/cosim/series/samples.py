@@ -102,7 +102,7 @@ def summary_table(columns: Sequence[Column], known: Curves, headline: str) -> Ta
     rows = summary_rows(columns, known, when=True)
     if rows and not len(known.begins):
         headline += f"; {OF_ROWS}"
-    elif rough := [c.name for c, fits in zip(columns, known.resolved, strict=True) if not fits]:
+    elif rough := [c.name for c, bad in zip(columns, known.rough.T, strict=True) if bad.any()]:
         headline += f"; min and max of points of {', '.join(rough)}"
     return Table(tuple(rows), headline, digits=6)
 

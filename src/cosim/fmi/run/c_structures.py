@@ -87,19 +87,14 @@ class Recording(ctypes.Structure):
     _fields_ = fields("master/recording.h", "Recording", group=ctypes.POINTER(_Group))
 
 
-_NUMBERS = ctypes.POINTER(ctypes.c_double)
-NOTE = ctypes.CFUNCTYPE(None, ctypes.c_double, _NUMBERS, ctypes.c_bool)
-_PARTS: dict[str, Any] = {
-    "functions": ctypes.POINTER(Functions),
-    "recording": ctypes.POINTER(Recording),
-    "note": NOTE,
-}
+NOTE = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.POINTER(ctypes.c_double), ctypes.c_bool)
+_PARTS = {"functions": ctypes.POINTER(Functions), "recording": ctypes.POINTER(Recording)}
 
 
 class Run(ctypes.Structure):
     """A whole run: the request, then the results."""
 
-    _fields_ = fields("master/run.h", "Run", **_PARTS)
+    _fields_ = fields("master/run.h", "Run", note=NOTE, **_PARTS)
 
 
 class Ending(IntEnum):

@@ -32,7 +32,7 @@ class Deviations:
         instance: fmpy's, in continuous-time mode.
         request: What to compute.
         clock: Sets time and inputs.
-        every_piece: Whether to look back before every event; else, before those that are many times
+        every: Whether to look back before every event; else, before those that are many times
             closer than places, only at random, so that no period of events hides a mode.
 
     Attributes:
@@ -43,9 +43,7 @@ class Deviations:
             that stays suppressed in a run that follows it; None if there is none.
     """
 
-    def __init__(
-        self, instance: Any, request: FmuRequest, clock: Any, *, every_piece: bool = True
-    ) -> None:
+    def __init__(self, instance: Any, request: FmuRequest, clock: Any, every: bool) -> None:
         self._instance, self._clock = instance, clock
         self.names = state_names(request.description)
         self._tolerances = request.relative_tolerance, request.relative_tolerance
@@ -58,7 +56,7 @@ class Deviations:
         self._places: list[_Place] = []
         self._every: list[tuple[float, Vector]] = []  # rows of the run
         self.steps = 0
-        self._random = None if every_piece else np.random.default_rng(0)
+        self._random = None if every else np.random.default_rng(0)
         self._next_look = -np.inf
 
     def note(self, time: float, states: Sequence[float] | None = None) -> None:

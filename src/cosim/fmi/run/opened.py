@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
@@ -278,8 +277,15 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
         facts |= {"next_event": next_event, "relative_tolerance": request.relative_tolerance}
         shares = request.closer.shares if request.closer else 1.0
         run, _nominals = exchange_run(instance, description, calls, shares, **facts)
-        deviations = Deviations(instance, request, Clock(instance, request), every_piece=False)
-        run.note = NOTE(partial(_note, run, deviations))
+        deviations = Deviations(instance, request, Clock(instance, request), every=False)
+        passed = deviations
+        run.note = NOTE(
+            lambda time, states, before_event: (
+                passed.pass_event(run.steps - passed.steps)
+                if before_event
+                else passed.note(time, states[: run.states])
+            )
+        )
     else:
         any_step = description.coSimulation.canHandleVariableCommunicationStepSize
         facts |= {"stop": request.stop, "any_step": any_step}
@@ -297,14 +303,6 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
     if exchange:
         stats["rhs_calls"] = run.calls
     return MasterRun(points, rows, stats, deviations.found if deviations else None)
-
-
-def _note(run: Run, deviations: Deviations, time: float, states: Any, before_event: bool) -> None:
-    """Note where an FMU is; look back before an event."""
-    if before_event:
-        deviations.pass_event(run.steps - deviations.steps)
-    else:
-        deviations.note(time, states[: run.states])
 
 
 @cached_per_thread(8)

@@ -110,7 +110,7 @@ def _model_exchange(
     solver = _solver(instance, request, clock, interrupts)
     needs_completed_step = description.modelExchange.needsCompletedIntegratorStep
     recorder.record(time)
-    deviations = Deviations(instance, request, clock)
+    deviations = Deviations(instance, request, clock, every=True)
     deviations.note(time)
     stats: dict[str, Any] = {}
     for target in targets:
