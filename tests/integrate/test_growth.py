@@ -229,6 +229,14 @@ def test_growth_that_begins_within_a_run_is_followed(interval, stiffness, right,
     assert run["x"][-1] == pytest.approx(right, abs=1e-4)  # before: 3.25, 0.7
 
 
+def test_growth_is_followed_where_a_long_step_finds_another_solution():
+    x, rate, trace = SX.sym("x"), 1.1968390886918674, 2.3102238896052128e-11
+    dae = cosim.from_casadi({"x": x, "ode": rate * x * (1 - x) + trace}, stop_time=40)
+    run = cosim.simulate(dae, solver="cvodes", output_interval=20)  # before: x < 0, and an error
+    right = 1 / (1 + 1 / (trace / rate * np.expm1(20 * rate)))
+    np.testing.assert_allclose(run["x"], [0, right, 1], atol=1e-5)
+
+
 @pytest.mark.parametrize("period", [0.1, 1.0])
 @pytest.mark.parametrize("runner", ["cvodes", "fmpy"])
 def test_growth_over_samples_is_followed(runner, period, tmp_path):

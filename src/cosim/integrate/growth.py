@@ -47,7 +47,7 @@ def followed_growth(
     """
     relative, absolute = solver.tolerance.pair
     motion, refined = _with_digits(run, look, solver.tolerance)
-    ended = refined or motion.reason
+    ended = refined or motion.reason == INTERRUPTED
     growth = None if ended else growth_in(motion, solver.tolerance)
     if growth is None:
         return motion
@@ -145,7 +145,7 @@ def _trough(
 
 
 def growth_in(motion: Motion, tolerance: Tolerance) -> Growth | None:
-    """Return the smallest deviation that a complete motion suppresses; see `suppressed_growth`."""
+    """Return the smallest deviation that a motion suppresses; see `suppressed_growth`."""
     if not _fed_back(motion.dae).any():
         return None
     path = _path(motion, _sizes(motion, tolerance))
