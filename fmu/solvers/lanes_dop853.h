@@ -15,7 +15,7 @@
 
 #include "lanes_limits.h"
 
-enum { REPORT = 8 };
+enum { REPORT = 9 };
 enum { ENDED, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, OUTSIDE };
 
 #define MOST_TRIALS 100000               /* per output interval */
@@ -26,8 +26,9 @@ typedef struct {
     long long runs, points;
     const double *x0, *nominal, *u, *p, *grid; /* the grid begins with the start time */
     double relative, absolute, largest;        /* step */
-    double *out, *report;                      /* NaN beyond the last good time */
-    long long *next;                           /* run to begin next */
+    double line, few_digits; /* how long, and to which absolute tolerance, a line is looked for */
+    double *out, *report;    /* NaN beyond the last good time */
+    long long *next;         /* run to begin next */
     const volatile int *stop;
     long long stop_outside; /* whether a run ends where it leaves the limits */
     double *steps;          /* step sizes that runs begin with, 0 for none, and end with; or NULL */
@@ -80,6 +81,20 @@ static V first_steps(Lanes *self, const Batch *batch, double span) {
     return pick(is_finite(self->k[1]), best, h);
 }
 
+/* Whether motions begin as lines in time. */
+static M begins_as_line(Lanes *self, const Batch *batch) {
+    const V length = every(batch->line);
+    M calm = length == length;
+    for (int i = 0; i < NX; ++i) self->end[i] = self->x[i] + length * self->k[0][i];
+    slopes(self, self->t + length, self->end, self->k[1]);
+    for (int i = 0; i < NX; ++i) {
+        const V bend = length * magnitude(self->k[1][i] - self->k[0][i]);
+        calm &= bend <= every(batch->relative) * magnitude(self->end[i]) +
+                            every(batch->few_digits) * self->nominal[i];
+    }
+    return calm;
+}
+
 /* Writes what a run has reached, and frees its lane. */
 static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     const long long run = self->run[lane], points = batch->points;
@@ -122,6 +137,7 @@ static void finish(Lanes *self, const Batch *batch, int lane, int code) {
     report[5] = self->spent[lane];
     report[6] = left;
     report[7] = self->limit[lane];
+    report[8] = self->calm[lane];
     if (batch->steps) batch->steps[run] = self->planned[lane];
     self->run[lane] = -1;
     self->h[lane] = 0;
@@ -152,7 +168,7 @@ static int refill(Lanes *self, const Batch *batch) {
             self->planned[l] = batch->steps ? batch->steps[run] : 0;
             self->run[l] = run;
             self->next[l] = self->trials[l] = self->steps[l] = 0;
-            self->calls[l] = 2;
+            self->calls[l] = 3;
             self->rejected[l] = 0;
             self->spent[l] = 0;
             self->left[l] = INFINITY;
@@ -179,6 +195,8 @@ static int refill(Lanes *self, const Batch *batch) {
         const double span = batch->grid[batch->points - 1] - batch->grid[0];
         const V first = smaller(first_steps(self, batch, span), every(batch->largest));
         self->h = pick(fresh, pick(self->planned > 0, self->planned, first), self->h);
+        const M calm = begins_as_line(self, batch);
+        FOR_LANES if (fresh[l]) self->calm[l] = calm[l] != 0;
         int again = 0;
         FOR_LANES if (fresh[l] && (!good[l] || self->next[l] >= batch->points)) {
             finish(self, batch, l, good[l] ? ENDED : NOT_FINITE);

@@ -51,7 +51,7 @@ typedef struct {
     V margins[NL + 1]; /* at t, while no limit has been left */
     Part proven;       /* within it, bounds have proven that limits hold */
     long long run[LANES], next[LANES], trials[LANES], steps[LANES], calls[LANES];
-    int rejected[LANES], final[LANES];
+    int rejected[LANES], final[LANES], calm[LANES];
     double spent[LANES], left[LANES]; /* when a limit was left first; infinite: never */
     int limit[LANES];
     double *kept; /* needed states by lane, state and time */

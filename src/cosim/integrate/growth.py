@@ -9,18 +9,16 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from casadi_models.dae.expressions import at_irregular_place
-from cosim.arrays import Integers, Truths, Vector
+from cosim.arrays import Truths, Vector
 from cosim.codegen.functions import equations
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
 from cosim.model.growth import (
-    SHORTEST,
     Closer,
     Growth,
     StatePath,
-    controlled_half,
     growth_from_start,
     stays_suppressed,
     suppressed_growth,
@@ -241,27 +239,10 @@ def growing_starts(
     found = np.zeros(x.shape[1], dtype=bool)
     if not (found.size and _fed_back(dae).any()):
         return found
-
-    def known(runs: Integers) -> tuple[Vector, ...]:
-        at = np.full((1, len(runs)), begin)
-        return at, x[:, runs], np.empty((0, 1)), u[:, runs], p[:, runs]
-
-    def calm(runs: Integers, length: Vector) -> Integers:
-        """Return the runs whose motion is a line for a time, s."""
-        t, start, *others = known(runs)
-        rate = np.array(equations(dae)(t, start, *others)[0])
-        ahead = start + length * rate
-        bend = length * np.abs(np.array(equations(dae)(t + length, ahead, *others)[0]) - rate)
-        small = controlled_half(*tolerance) * sizes[:, runs]
-        return runs[(bend <= tolerance[0] * np.abs(ahead) + small).all(axis=0)]
-
-    runs = calm(np.arange(len(found)), np.full(len(found), SHORTEST * (end - begin)))
-    if not runs.size:
-        return found
-    slopes = _slopes(dae, *known(runs)) * sizes.T[runs, None] / sizes.T[runs, :, None]
+    at = np.full((1, len(found)), begin)
+    slopes = _slopes(dae, at, x, np.empty((0, 1)), u, p) * sizes.T[:, None] / sizes.T[:, :, None]
     growth = np.nan_to_num(np.linalg.norm(slopes, axis=(1, 2)), posinf=0.0)
-    some = growth * (end - begin) > 1
-    for i in calm(runs[some], 1 / growth[some]):
+    for i in np.flatnonzero(growth * (end - begin) > 1):
         at = np.array([begin, end])
         motion = Motion(dae, at, x[:, [i, i]], np.empty((0, 2)), u[:, [i]], p[:, i], Counts())
         found[i] = growth_from_start(_path(motion, sizes[:, i]), *tolerance) is not None

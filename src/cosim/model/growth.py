@@ -134,13 +134,12 @@ def suppressed_growth(
     if len(path.time) < 2 or not len(path.states):
         return None
     rows = _rows_per_step(path.time, steps)
-    for level in _levels(path, relative, absolute):
+    for level in _levels(relative, absolute):
         spans = _straight(path, rows, relative, level.calm * path.sizes)
-        lines = [(path, *span) for span in spans]
-        if spans or steps >= len(
-            path.time
-        ):  # where steps are closer than rows, a line may be short
-            lines += _first_lines(path, relative, level.calm)
+        # where steps are closer than rows, a line may be short
+        if (not spans and steps < len(path.time)) or not level.matters(path):
+            continue
+        lines = [*((path, *span) for span in spans), *_first_lines(path, relative, level.calm)]
         if found := level.smallest(lines):
             return found
     return None
@@ -148,9 +147,11 @@ def suppressed_growth(
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
-    levels = _levels(path, relative, absolute)
-    every = (level.smallest(_first_lines(path, relative, level.calm)) for level in levels)
-    return next(filter(None, every), None)
+    for level in _levels(relative, absolute):
+        lines = _first_lines(path, relative, level.calm)
+        if level.matters(path) and (found := level.smallest(lines)):
+            return found
+    return None
 
 
 _Line = tuple[StatePath, int, int, Truths]  # a path, the rows between which it is one, which states
@@ -163,6 +164,20 @@ class _Level(NamedTuple):
     least: float
     error: float
 
+    def matters(self, path: StatePath) -> bool:
+        """Return whether an error may become visible, as slopes along a motion tell."""
+        if self.error == np.inf:
+            return True
+        rows = np.unique(np.linspace(0, len(path.time) - 1, _MORE * _PLACES).astype(int))
+        slopes = path.slopes(path.time[rows], path.states[:, rows])
+        finite = _finite(slopes)
+        if not finite.any():
+            return False
+        rates = np.linalg.eigvals(_distinct(slopes[finite])).real.max(axis=1)
+        rates = np.broadcast_to(np.fmax(rates, 0), (finite.sum(),))
+        exponent = min(np.trapezoid(rates, path.time[rows[finite]]), _MOST_EXPONENT)
+        return bool(self.error * np.exp(exponent) > self.least > 0)
+
     def smallest(self, lines: Iterable[_Line]) -> Growth | None:
         """Return the smallest deviation that grows along lines."""
         every = (growth_along(*line, self.least, self.error) for line in lines)
@@ -170,27 +185,15 @@ class _Level(NamedTuple):
         return min(few, key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
-def _levels(path: StatePath, relative: float, absolute: float) -> Iterator[_Level]:
-    """Yield levels: of what no step follows, then of what is followed with few digits."""
-    yield _Level(absolute, absolute, np.inf)
-    if _may_grow(path, EFFECT * relative / absolute):
-        yield _Level(controlled_half(relative, absolute), EFFECT * relative, absolute)
+def _levels(relative: float, absolute: float) -> tuple[_Level, _Level]:
+    """Return the levels of what no step follows, and of what is followed with few digits."""
+    few_digits = _Level(controlled_half(relative, absolute), EFFECT * relative, absolute)
+    return _Level(absolute, absolute, np.inf), few_digits
 
 
 def controlled_half(relative: float, absolute: float) -> float:
     """Return the size of which the error control keeps half of the digits, in nominal values."""
     return float(absolute / np.sqrt(relative or 1.0))
-
-
-def _may_grow(path: StatePath, factor: float) -> bool:
-    """Return whether a deviation may grow by a factor, as slopes along a motion tell."""
-    rows = np.unique(np.linspace(0, len(path.time) - 1, _MORE * _PLACES).astype(int))
-    slopes = path.slopes(path.time[rows], path.states[:, rows])
-    slopes = slopes[_finite(slopes)]
-    rates = np.linalg.eigvals(_distinct(slopes)).real if len(slopes) else np.zeros(1)
-    return bool(
-        factor > 0 and np.exp(min(rates.max() * np.ptp(path.time), _MOST_EXPONENT)) > factor
-    )
 
 
 def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: float) -> bool:

@@ -20,6 +20,7 @@ from cosim.integrate.growth import growing_starts
 from cosim.integrate.initial_values import start_values
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.memo import cached_per_thread
+from cosim.model.growth import SHORTEST, controlled_half
 from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
@@ -39,8 +40,8 @@ STUCK, HALTED, OUTSIDE = 1, 5, 6
 # Report of a run. code: 0 for success, or a key of `CAUSES`; good: number of valid output times;
 # ended: time at which the run ended, s; error: sum of the estimated errors of the steps, in units
 # of the tolerance; left: time from which a validity condition is violated, s, infinite for none;
-# limit: position of that condition.
-_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit")
+# limit: position of that condition; calm: whether the motion begins as a line in time.
+_FIELDS = ("code", "steps", "rhs_calls", "good", "ended", "error", "left", "limit", "calm")
 _REPORT = np.dtype([(name, float) for name in _FIELDS])
 
 
@@ -110,6 +111,8 @@ def run_lanes(
         points,
         *(array.ctypes.data for array in (x0, nominal, u, p, grid)),
         *limits,
+        SHORTEST * (grid[-1] - grid[0]),
+        controlled_half(*limits[:2]),
         *(array.ctypes.data for array in (values, report, following, stop)),
         int(stop_outside),
         None if steps is None else steps.ctypes.data,
@@ -214,10 +217,10 @@ def in_lanes(
         error=report["error"] * max(tolerance.pair),
         stats={"lanes": lanes, "solve_time": solve_time},
     )
-    begun = going[ended["code"] != HALTED]
+    lines = going[ended["calm"] > 0]
     span = float(grid[0]), float(grid[-1])
-    growing = growing_starts(dae, [rows[begun] for rows in table], span, tolerance.pair)
-    return ensemble, begun[growing], going[ended["code"] == STUCK]
+    growing = growing_starts(dae, [rows[lines] for rows in table], span, tolerance.pair)
+    return ensemble, lines[growing], going[ended["code"] == STUCK]
 
 
 def _without_start(
