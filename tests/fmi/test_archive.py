@@ -82,6 +82,13 @@ def test_name_that_occurs_twice_is_refused_whatever_its_case(name, tmp_path, tem
     assert "occurs twice" in refused(path, temporary)
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_copies_of_an_entry_are_harmless(tmp_path):
+    twice = [("extra/", b""), ("extra/notes.xml", b"<notes/>")] * 2
+    with opened(archive(tmp_path / "copies.fmu", *twice)) as found:
+        assert len(found.infolist()) == 5
+
+
 def test_bomb_is_refused_before_it_goes_off(tmp_path, temporary):
     path = archive(tmp_path / "bomb.fmu", ("large.bin", bytes(1000)))
     said = path.read_bytes().replace(struct.pack("<I", 1000), struct.pack("<I", 2**31))

@@ -130,19 +130,23 @@ def with_places(text: object, places: Mapping[str, str]) -> str:
     return shown
 
 
-def entry_content(archive: zipfile.ZipFile, entry: str, most_bytes: int = MOST_BYTES) -> bytes:
+def entry_content(
+    archive: zipfile.ZipFile, entry: str | zipfile.ZipInfo, most_bytes: int = MOST_BYTES
+) -> bytes:
     """Return an entry's content.
 
     Raises:
         FmuError: It is damaged or encrypted.
         SecurityError: It is larger than `most_bytes`.
     """
-    if archive.getinfo(entry).file_size > most_bytes:
-        raise SecurityError(f"entry '{entry}' has more than {most_bytes} bytes; do not use it")
+    facts = archive.getinfo(entry) if isinstance(entry, str) else entry
+    name = facts.filename
+    if facts.file_size > most_bytes:
+        raise SecurityError(f"entry '{name}' has more than {most_bytes} bytes; do not use it")
     try:
         return archive.read(entry)
     except Exception as error:  # of any decoder
-        raise FmuError(f"entry '{entry}' cannot be read: {why_unreadable(error)}") from error
+        raise FmuError(f"entry '{name}' cannot be read: {why_unreadable(error)}") from error
 
 
 def why_unreadable(error: Exception) -> str:
@@ -195,7 +199,7 @@ def _reject_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None
     size = sum(entry.file_size for entry in entries)
     if size > most_bytes:
         raise SecurityError(f"it unpacks to {size:.3g} bytes, more than {most_bytes}")
-    seen: set[str] = set()
+    seen = dict[str, zipfile.ZipInfo]()
     for entry in entries:
         name = entry.orig_filename
         if leaves_archive(name):
@@ -203,9 +207,15 @@ def _reject_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None
         kind = stat.S_IFMT(entry.external_attr >> 16)
         if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
             raise SecurityError(f"entry '{name}' is a link or device; do not use this file")
-        if name.lower().rstrip("/") in seen:
+        first = seen.setdefault(name.lower().rstrip("/"), entry)
+        if first is not entry and not _are_copies(archive, first, entry):
             raise SecurityError(f"entry '{name}' occurs twice; do not use this file")
-        seen.add(name.lower().rstrip("/"))
+
+
+def _are_copies(archive: zipfile.ZipFile, one: zipfile.ZipInfo, other: zipfile.ZipInfo) -> bool:
+    """Tell whether entries of one name have one content, as of exporters that pack files twice."""
+    kinds = {(entry.is_dir(), entry.file_size, entry.CRC) for entry in (one, other)}
+    return len(kinds) == 1 and entry_content(archive, one) == entry_content(archive, other)
 
 
 def leaves_archive(name: str) -> bool:
