@@ -115,8 +115,11 @@ def test_array_that_is_not_finite_is_found(tmp_path):
     late = ANSWER.replace(
         "    *event", "    if (time > 0.5) ((Instance *)c)->x[1] = 0.0 / 0.0;\n    *event"
     )
-    (fault,) = found(typed_part(tmp_path, 3, (ANSWER, late)), steps)  # before: none
+    path = typed_part(tmp_path, 3, (ANSWER, late))
+    (fault,) = found(path, steps)  # before: none
     assert fault == (WRONG, "steps", "CoSimulation")
+    stops = set_attributes("DefaultExperiment", stopTime="0.3")
+    assert found(with_description(path, tmp_path / "stops.fmu", stops), steps) == set()
 
 
 def test_state_and_parameter_that_cannot_be_set_are_found(tmp_path):
