@@ -168,15 +168,19 @@ class _Level(NamedTuple):
         """Return whether an error may become visible, as slopes along a motion tell."""
         if self.error == np.inf:
             return True
-        rows = np.unique(np.linspace(0, len(path.time) - 1, _MORE * _PLACES).astype(int))
-        slopes = path.slopes(path.time[rows], path.states[:, rows])
-        finite = _finite(slopes)
-        if not finite.any():
-            return False
-        rates = np.linalg.eigvals(_distinct(slopes[finite])).real.max(axis=1)
-        rates = np.broadcast_to(np.fmax(rates, 0), (finite.sum(),))
-        exponent = min(np.trapezoid(rates, path.time[rows[finite]]), _MOST_EXPONENT)
-        return bool(self.error * np.exp(exponent) > self.least > 0)
+        exponent, needed = 0.0, np.log(self.least / self.error)
+        for more in (1, _MORE):
+            rows = np.unique(np.linspace(0, len(path.time) - 1, more * _PLACES).astype(int))
+            slopes = path.slopes(path.time[rows], path.states[:, rows])
+            finite = _finite(slopes)
+            if not finite.any():
+                return False
+            rates = np.linalg.eigvals(_distinct(slopes[finite])).real.max(axis=1)
+            rates = np.broadcast_to(np.fmax(rates, 0), (finite.sum(),))
+            exponent = float(np.trapezoid(rates, path.time[rows[finite]]))
+            if _MORE * exponent < needed:  # whatever is between these places
+                return False
+        return bool(exponent > needed)
 
     def smallest(self, lines: Iterable[_Line]) -> Growth | None:
         """Return the smallest deviation that grows along lines."""
@@ -185,10 +189,13 @@ class _Level(NamedTuple):
         return min(few, key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
-def _levels(relative: float, absolute: float) -> tuple[_Level, _Level]:
+def _levels(relative: float, absolute: float) -> list[_Level]:
     """Return the levels of what no step follows, and of what is followed with few digits."""
-    few_digits = _Level(controlled_half(relative, absolute), EFFECT * relative, absolute)
-    return _Level(absolute, absolute, np.inf), few_digits
+    levels = [_Level(absolute, absolute, np.inf)]
+    if relative:
+        few_digits = controlled_half(relative, absolute)
+        levels.append(_Level(few_digits, EFFECT * relative, absolute))
+    return levels
 
 
 def controlled_half(relative: float, absolute: float) -> float:

@@ -238,7 +238,7 @@ def test_extremes_of_runs_in_blocks_need_no_single_run(monkeypatch):
 def test_ctrl_c_keeps_the_runs_that_have_ended(monkeypatch):
     dae, heights = event_models.ball(), np.full(100_000, 2.0)
     cosim.simulate_many(dae, {"h": heights[:2]}, solver="dop853", output_times=[2.0])  # compiled
-    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+    timer = threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT))  # within its 20 ms
     calls, call = [], EventBlocks._call
 
     def with_timer(*arguments):
