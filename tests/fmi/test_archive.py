@@ -83,10 +83,12 @@ def test_name_that_occurs_twice_is_refused_whatever_its_case(name, tmp_path, tem
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_copies_of_an_entry_are_harmless(tmp_path):
+def test_copies_of_an_entry_are_harmless_but_not_under_names_that_clash(tmp_path, temporary):
     twice = [("extra/", b""), ("extra/notes.xml", b"<notes/>")] * 2
     with opened(archive(tmp_path / "copies.fmu", *twice)) as found:
         assert len(found.infolist()) == 5
+    path = archive(tmp_path / "case.fmu", ("ModelDescription.xml", PLAIN))
+    assert "occurs twice" in refused(path, temporary)
 
 
 def test_bomb_is_refused_before_it_goes_off(tmp_path, temporary):

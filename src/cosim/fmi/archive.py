@@ -214,7 +214,7 @@ def _reject_dangerous_entries(archive: zipfile.ZipFile, most_bytes: int) -> None
 
 def _are_copies(archive: zipfile.ZipFile, one: zipfile.ZipInfo, other: zipfile.ZipInfo) -> bool:
     """Tell whether entries of one name have one content, as of exporters that pack files twice."""
-    kinds = {(entry.is_dir(), entry.file_size, entry.CRC) for entry in (one, other)}
+    kinds = {(entry.orig_filename, entry.file_size, entry.CRC) for entry in (one, other)}
     return len(kinds) == 1 and entry_content(archive, one) == entry_content(archive, other)
 
 
