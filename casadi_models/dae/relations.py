@@ -270,7 +270,7 @@ def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
         SX(function.sparsity_in(i), nonzeros[begin:end])
         for i, (begin, end) in enumerate(pairwise(ends))
     ]
-    return [row for result in function.call(given) for row in ca.vertsplit(result.nz[:])]
+    return [result.nz[i] for result in function.call(given) for i in range(result.nnz())]
 
 
 def applied(code: int, terms: Sequence[SX]) -> SX:

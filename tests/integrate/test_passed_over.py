@@ -8,6 +8,7 @@ import pytest
 from casadi import SX
 
 import cosim
+from casadi_models.dae.relations import called
 from cosim.errors import Interrupted
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.passed_over import attentive
@@ -412,3 +413,9 @@ def test_uneven_output_times_hide_no_bump_where_they_are_far_apart(several, solv
     run = cosim.simulate(model.freeze(), output_times=times, solver=solver)
     passes = 4 * np.sqrt(np.pi) / np.cos(np.arcsin(0.5))  # at the speed there
     assert run["total"][-1] == pytest.approx(passes, rel=1e-4)  # measured 2e-6; before: 0
+
+
+def test_a_result_without_entries_has_no_terms():
+    x = SX.sym("x")
+    function = ca.Function("function", [x], [SX(1, 0), x**2])
+    assert [str(term) for term in called(function, [x])] == ["sq(x)"]
