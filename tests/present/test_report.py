@@ -98,12 +98,15 @@ def test_printed_number_that_is_not_met_is_marked():
     assert {row["differs"].partition(",")[0] for row in rows} == {"yes"}
 
 
+def report_of(dae):
+    run = cosim.simulate(dae, stop_time=1.0, compiled=False)
+    scene = cosim.Scene("x", cosim.requested(dae))
+    return report(ReportContents(scene, dae, run, None, [], "cosim report x"))
+
+
 def test_invalid_run_is_called_so_at_the_top():
     dae = spinning(4.0, limit=2.0)
-    run = cosim.simulate(dae, stop_time=1.0, compiled=False)
-    page = report(
-        ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
-    )
+    page = report_of(dae)
     head = page[: page.index("<h2 ")]
     assert "invalid from 0.5 s: not fulfilled" in head
     assert "shaded: invalid from" in page
@@ -112,10 +115,7 @@ def test_invalid_run_is_called_so_at_the_top():
 def test_every_reason_of_invalidity_has_its_time():
     dae = spinning(4.0, limit=2.0)
     dae = replace(dae, limits=(*dae.limits, (3.0 - dae.x[0], "the angle is less than 3 rad")))
-    run = cosim.simulate(dae, stop_time=1.0, compiled=False)
-    page = report(
-        ReportContents(cosim.Scene("x", cosim.requested(dae)), dae, run, None, [], "cosim report x")
-    )
+    page = report_of(dae)
     head = page[: page.index("<h2 ")]
     assert "invalid from 0.5 s: not fulfilled: the disk turns by less than 2 rad; not" in head
     assert "not fulfilled: the angle is less than 3 rad (from 0.75 s)" in head

@@ -168,19 +168,15 @@ class _Level(NamedTuple):
         """Return whether an error may become visible, as slopes along a motion tell."""
         if self.error == np.inf:
             return True
-        exponent, needed = 0.0, np.log(self.least / self.error)
-        for more in (1, _MORE):
-            rows = np.unique(np.linspace(0, len(path.time) - 1, more * _PLACES).astype(int))
-            slopes = path.slopes(path.time[rows], path.states[:, rows])
-            finite = _finite(slopes)
-            if not finite.any():
+        for places, between in ((_PLACES, _MORE), (_MORE * _PLACES, 1)):
+            rows, slopes = _slopes_at(path, 0, len(path.time) - 1, places)
+            if not len(rows):
                 return False
-            rates = np.linalg.eigvals(_distinct(slopes[finite])).real.max(axis=1)
-            rates = np.broadcast_to(np.fmax(rates, 0), (finite.sum(),))
-            exponent = float(np.trapezoid(rates, path.time[rows[finite]]))
-            if _MORE * exponent < needed:  # whatever is between these places
+            rates = np.fmax(np.linalg.eigvals(_distinct(slopes)).real.max(axis=1), 0)
+            exponent = np.trapezoid(np.broadcast_to(rates, rows.shape), path.time[rows])
+            if between * exponent <= np.log(self.least / self.error):
                 return False
-        return bool(exponent > needed)
+        return True
 
     def smallest(self, lines: Iterable[_Line]) -> Growth | None:
         """Return the smallest deviation that grows along lines."""
@@ -193,8 +189,7 @@ def _levels(relative: float, absolute: float) -> list[_Level]:
     """Return the levels of what no step follows, and of what is followed with few digits."""
     levels = [_Level(absolute, absolute, np.inf)]
     if relative:
-        few_digits = controlled_half(relative, absolute)
-        levels.append(_Level(few_digits, EFFECT * relative, absolute))
+        levels.append(_Level(controlled_half(relative, absolute), EFFECT * relative, absolute))
     return levels
 
 
@@ -249,21 +244,24 @@ def _first_lines(path: StatePath, relative: float, absolute: float) -> Iterator[
 
 
 def _slopes_at_places(path: StatePath, first: int, last: int) -> tuple[Integers, Vector]:
+    """Return rows and slopes at so many places of a line that the slopes are known between them."""
+    rows, slopes = _slopes_at(path, first, last, _PLACES)
+    if not len(rows) or np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
+        return rows, slopes
+    return _slopes_at(path, first, last, _MORE * _PLACES)
+
+
+def _slopes_at(path: StatePath, first: int, last: int, places: int) -> tuple[Integers, Vector]:
     """Return some rows from a first to a last one, (m,), and the slopes there, (m, nx, nx).
 
     Slopes are in nominal values. Rows without finite ones are left out.
     """
     t, sizes = path.time, path.sizes
-    rows, slopes = np.empty(0, dtype=int), np.empty(0)
-    for more in (1, _MORE):
-        wanted = t.searchsorted(np.linspace(t[first], t[last], more * _PLACES))
-        rows = np.unique(np.clip(wanted, first, last))
-        slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
-        finite = _finite(slopes)
-        rows, slopes = rows[finite], slopes[finite]
-        if not len(rows) or np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
-            break
-    return rows, slopes
+    wanted = t.searchsorted(np.linspace(t[first], t[last], places))
+    rows = np.unique(np.clip(wanted, first, last))
+    slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
+    finite = _finite(slopes)
+    return rows[finite], slopes[finite]
 
 
 def _distinct(slopes: Vector) -> Vector:

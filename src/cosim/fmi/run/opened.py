@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
@@ -244,6 +245,14 @@ def _opened(path: str, interface: str | None, _changed: tuple[int, ...]) -> Open
     return OpenedFmu(path, interface)
 
 
+def _note(run: Run, seen: Deviations, time: float, states: Any, before_event: bool) -> None:
+    """Note the states that compiled code reaches; before an event, look back."""
+    if before_event:
+        seen.pass_event(run.steps - seen.steps)
+    else:
+        seen.note(time, states[: run.states])
+
+
 def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun:
     """Initialize an FMU and run it by compiled code; it is not terminated yet.
 
@@ -278,14 +287,7 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
         shares = request.closer.shares if request.closer else 1.0
         run, _nominals = exchange_run(instance, description, calls, shares, **facts)
         deviations = Deviations(instance, request, Clock(instance, request), every=False)
-        passed = deviations
-        run.note = NOTE(
-            lambda time, states, before_event: (
-                passed.pass_event(run.steps - passed.steps)
-                if before_event
-                else passed.note(time, states[: run.states])
-            )
-        )
+        run.note = NOTE(partial(_note, run, deviations))
     else:
         any_step = description.coSimulation.canHandleVariableCommunicationStepSize
         facts |= {"stop": request.stop, "any_step": any_step}
