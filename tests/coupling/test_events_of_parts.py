@@ -70,10 +70,6 @@ def follower():
     return model.freeze()
 
 
-def table(times, values):
-    return cosim.InputSeries(("c.u",), np.array(times), np.array(values, dtype=float)[:, None])
-
-
 def relay():
     """A relay with hysteresis switches a heater, whose part counts the switches."""
     switch, room = part("relay"), part("room")
@@ -363,52 +359,6 @@ def test_a_relay_that_is_just_beyond_its_threshold_as_a_step_begins_switches_the
     times = [[event.time for event in one.events] for one in (run, exact)]
     assert times[0] == pytest.approx(times[1], abs=1e-10)  # 24 for 3 before
     np.testing.assert_allclose(run["p.T"], exact["p.T"], rtol=0, atol=1e-10)  # 2e-8 before
-
-
-@pytest.mark.slow_rows("settings0")
-@pytest.mark.parametrize("settings", [{}, {"method": "extrapolated"}, {"macro_step": 0.01}])
-def test_a_start_exactly_at_a_threshold_switches_once(settings):
-    """T' = 4 q - T from the upper threshold 2, heated: off at 0, on at ln 2, off at ln 3."""
-    room, thermostat = cosim.Model("room", stop_time=1.5), cosim.Model("th", stop_time=1.5)
-    t, q = room.state("T", "1", 2.0, "T"), room.input("q", "1", 1.0, "power")
-    room.derivative(t, 4 * q - t)
-    u, on = thermostat.input("T", "1", 2.0, "T"), thermostat.discrete("q", "1", 1.0, "power")
-    thermostat.when(u > 2, {on: 0}, name="off")
-    thermostat.when(u < 1, {on: 1}, name="on")
-    parts = {"room": room.freeze(), "th": thermostat.freeze()}
-    system = cosim.couple(parts, {"room.q": "th.q", "th.T": "room.T"})
-    run = system.simulate(stop_time=1.5, output_interval=0.01, **settings)
-    assert [event.time for event in run.events] == pytest.approx(
-        [0, np.log(2), np.log(3)], abs=1e-9
-    )
-    assert run.final["room.T"] == pytest.approx(6 * np.exp(-1.5), abs=1e-6)
-
-    assert run["th.q"][0] == 0  # a row has the values after its events
-
-
-@pytest.mark.slow_rows("floor", "table", "from")
-@pytest.mark.parametrize(
-    ("law", "right"),
-    [
-        ("floor(2*t)", lambda t: np.floor(2 * t)),
-        ("where(t >= 0.5, 1, 0)", lambda t: t >= 0.5),
-        ("where(t > 0.5, 1, 0)", lambda t: t > 0.5),
-        (table([0, 0.5, 0.5, 1], [0, 0, 1, 1]), lambda t: t >= 0.5),
-    ],
-    ids=["floor", "from", "after", "table"],
-)
-def test_a_sample_at_the_time_of_a_jump_is_that_of_the_one_model(law, right):
-    """Relations have the values of that time; the samples were those before in other parts."""
-    controller = cosim.Model("c", stop_time=1.0, output_interval=0.125)
-    u, held = controller.input("u", "1", 0.0, "u"), controller.discrete("h", "1", 0.0, "held")
-    controller.every(0.25, {held: u}, name="sample")
-    system = cosim.couple({"c": controller.freeze()}, {})
-    for run in (
-        system.simulate(inputs={"c.u": law}),
-        system.simulate(inputs={"c.u": law}, macro_step=0.1),
-        cosim.simulate(system.dae, inputs={"c.u": law}),
-    ):
-        np.testing.assert_array_equal(run["c.h"], right(np.floor(4 * run.time) / 4))
 
 
 @pytest.mark.parametrize("settings", [{}, {"macro_step": 0.1}, {"threads": True}], ids=str)

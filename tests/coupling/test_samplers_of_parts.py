@@ -151,3 +151,32 @@ def test_a_sampled_file_of_fmi_2_steps_to_its_samples(tmp_path):
         run = system.simulate(stop_time=1.0, output_interval=0.05, accuracy=accuracy)
         error = np.abs(run["plant.x"] - right).max()
         assert error <= run.stats["error_estimate"] <= accuracy
+
+
+def table(times, values):
+    return cosim.InputSeries(("c.u",), np.array(times), np.array(values, dtype=float)[:, None])
+
+
+@pytest.mark.slow_rows("floor", "table", "from")
+@pytest.mark.parametrize(
+    ("law", "right"),
+    [
+        ("floor(2*t)", lambda t: np.floor(2 * t)),
+        ("where(t >= 0.5, 1, 0)", lambda t: t >= 0.5),
+        ("where(t > 0.5, 1, 0)", lambda t: t > 0.5),
+        (table([0, 0.5, 0.5, 1], [0, 0, 1, 1]), lambda t: t >= 0.5),
+    ],
+    ids=["floor", "from", "after", "table"],
+)
+def test_a_sample_at_the_time_of_a_jump_is_that_of_the_one_model(law, right):
+    """Relations have the values of that time; the samples were those before in other parts."""
+    controller = cosim.Model("c", stop_time=1.0, output_interval=0.125)
+    u, held = controller.input("u", "1", 0.0, "u"), controller.discrete("h", "1", 0.0, "held")
+    controller.every(0.25, {held: u}, name="sample")
+    system = cosim.couple({"c": controller.freeze()}, {})
+    for run in (
+        system.simulate(inputs={"c.u": law}),
+        system.simulate(inputs={"c.u": law}, macro_step=0.1),
+        cosim.simulate(system.dae, inputs={"c.u": law}),
+    ):
+        np.testing.assert_array_equal(run["c.h"], right(np.floor(4 * run.time) / 4))

@@ -121,3 +121,24 @@ def test_relays_of_a_session_that_lasts_longer_than_usual_see_one_instant(tmp_pa
         session.advance(to=5.0)
         places = session["first.x"], session["second.x"]
     assert places == pytest.approx([0.2, 0.2], abs=1e-12)  # measured 1e-15
+
+
+@pytest.mark.slow_rows("settings0")
+@pytest.mark.parametrize("settings", [{}, {"method": "extrapolated"}, {"macro_step": 0.01}])
+def test_a_start_exactly_at_a_threshold_switches_once(settings):
+    """T' = 4 q - T from the upper threshold 2, heated: off at 0, on at ln 2, off at ln 3."""
+    room, thermostat = cosim.Model("room", stop_time=1.5), cosim.Model("th", stop_time=1.5)
+    t, q = room.state("T", "1", 2.0, "T"), room.input("q", "1", 1.0, "power")
+    room.derivative(t, 4 * q - t)
+    u, on = thermostat.input("T", "1", 2.0, "T"), thermostat.discrete("q", "1", 1.0, "power")
+    thermostat.when(u > 2, {on: 0}, name="off")
+    thermostat.when(u < 1, {on: 1}, name="on")
+    parts = {"room": room.freeze(), "th": thermostat.freeze()}
+    system = cosim.couple(parts, {"room.q": "th.q", "th.T": "room.T"})
+    run = system.simulate(stop_time=1.5, output_interval=0.01, **settings)
+    assert [event.time for event in run.events] == pytest.approx(
+        [0, np.log(2), np.log(3)], abs=1e-9
+    )
+    assert run.final["room.T"] == pytest.approx(6 * np.exp(-1.5), abs=1e-6)
+
+    assert run["th.q"][0] == 0  # a row has the values after its events
