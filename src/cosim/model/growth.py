@@ -9,7 +9,8 @@ tolerance helps.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,8 @@ _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
 _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
-_SHORTER = 4  # by which the next line is shorter that is tried
+_POSSIBLE = 0.5  # of the exponent of a growth that counts
+_SHORTER = 4.0  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
 _MOST_EXPONENT = 600.0
 SHORTEST = 1e-3  # of a run: its first line
@@ -119,6 +121,16 @@ class StatePath:
     rates: Callable[[Vector, Vector], Vector]
     slopes: Callable[[Vector, Vector], Vector]
     fed_back: Truths | None = None
+    _known: dict[int, Vector] = field(init=False, default_factory=dict, repr=False)
+
+    def slopes_at(self, rows: Integers) -> Vector:
+        """Return the slopes at rows in nominal values, (m, nx, nx)."""
+        new = np.array([row for row in rows.tolist() if row not in self._known], dtype=int)
+        if len(new):
+            slopes = self.slopes(self.time[new], self.states[:, new])
+            scaled = slopes * self.sizes / self.sizes[:, None]
+            self._known.update(zip(new.tolist(), scaled, strict=True))
+        return np.array([self._known[row] for row in rows.tolist()])
 
 
 def suppressed_growth(
@@ -133,14 +145,14 @@ def suppressed_growth(
     """
     if len(path.time) < 2 or not len(path.states):
         return None
-    rows = _rows_per_step(path.time, steps)
+    bends = _Bends.of(path, steps)
     for level in _levels(relative, absolute):
-        spans = _straight(path, rows, relative, level.calm * path.sizes)
+        spans = bends.spans(relative, level.calm * path.sizes, path.fed_back)
         # where steps are closer than rows, a line may be short
         if (not spans and steps < len(path.time)) or not level.matters(path):
             continue
-        lines = [*((path, *span) for span in spans), *_first_lines(path, relative, level.calm)]
-        if found := level.smallest(lines):
+        own = ((path, *span) for span in compress(spans, _growing(path, spans)))
+        if found := level.smallest(chain(own, _first_lines(path, relative, level.calm))):
             return found
     return None
 
@@ -154,7 +166,8 @@ def growth_from_start(path: StatePath, relative: float, absolute: float) -> Grow
     return None
 
 
-_Line = tuple[StatePath, int, int, Truths]  # a path, the rows between which it is one, which states
+_Span = tuple[int, int, Truths]  # the rows between which states are lines in time, and which are
+_Line = tuple[StatePath, int, int, Truths]
 
 
 class _Level(NamedTuple):
@@ -206,7 +219,7 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
     Args:
         path, steps, relative, absolute: See `suppressed_growth`; of a run that follows deviations.
     """
-    spans = _straight(path, _rows_per_step(path.time, steps), relative, absolute * path.sizes)
+    spans = _Bends.of(path, steps).spans(relative, absolute * path.sizes, path.fed_back)
     hidden = absolute / relative if relative else np.inf
     for first, last, calm in spans:
         line = replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1])
@@ -218,35 +231,41 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
 
 def _first_lines(path: StatePath, relative: float, absolute: float) -> Iterator[_Line]:
     """Yield lines from the start that are ones to the tolerance, with rows along them."""
-    begin, stop, x = path.time[0], path.time[-1], path.states[:, :1]
-    rate = path.rates(path.time[:1], x)
-    times = np.linspace(begin, stop, _PLACES)
-    line = x + rate * (times - begin)
+    t, x = path.time, path.states[:, :1]
+    rate = path.rates(t[:1], x)
+    shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
+    lengths = np.ptp(t) * shares
+    ends = x + lengths * rate
+    bends = lengths * np.abs(path.rates(t[0] + lengths, ends) - rate)
+    calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None]
+    new = (calm & (calm.cumsum(axis=1) == 1)).any(axis=0)
+    lasts = np.minimum(t.searchsorted(t[0] + lengths), len(t) - 1)
+    spans = [(0, int(last), own) for last, own in zip(lasts[new], calm.T[new], strict=True)]
+    chosen = [*compress(zip(lengths[new], calm.T[new], strict=True), _growing(path, spans))]
+    if not chosen or not _may_grow_on_line(path, rate):
+        return
+    for length, own in chosen:
+        time = np.union1d(t, np.linspace(t[0], t[0] + length, _PLACES))
+        states = np.array([np.interp(time, t, row) for row in path.states])
+        last = int(time.searchsorted(t[0] + length))
+        yield replace(path, time=time, states=states), 0, last, own
+
+
+def _may_grow_on_line(path: StatePath, rate: Vector) -> bool:
+    """Return whether a deviation may grow on the line that starts a motion, to its end."""
+    times = np.linspace(path.time[0], path.time[-1], _PLACES)
+    line = path.states[:, :1] + rate * (times - times[0])
     slopes = path.slopes(times, line)
     finite = _finite(slopes)
     if not finite[0] or not path.rates(times, line).any():
-        return
-    if np.linalg.eigvals(_distinct(slopes[finite])).real.max() * (stop - begin) <= 1:
-        return
-    length = stop - begin
-    before = np.zeros(len(x), dtype=bool)
-    while length > SHORTEST * (stop - begin) and not before.all():
-        end = x + length * rate
-        bend = length * np.abs(path.rates(np.array([begin + length]), end) - rate)
-        calm = (bend <= relative * np.abs(end) + absolute * path.sizes[:, None]).all(axis=1)
-        if (calm & ~before).any():
-            time = np.union1d(path.time, np.linspace(begin, begin + length, _PLACES))
-            states = np.array([np.interp(time, path.time, row) for row in path.states])
-            last = int(time.searchsorted(begin + length))
-            yield replace(path, time=time, states=states), 0, last, calm
-        before |= calm
-        length /= _SHORTER
+        return False
+    return _may_grow(slopes[finite], np.ptp(times))
 
 
 def _slopes_at_places(path: StatePath, first: int, last: int) -> tuple[Integers, Vector]:
     """Return rows and slopes at so many places of a line that the slopes are known between them."""
     rows, slopes = _slopes_at(path, first, last, _PLACES)
-    if not len(rows) or np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max():
+    if not len(rows) or _steady(slopes):
         return rows, slopes
     return _slopes_at(path, first, last, _MORE * _PLACES)
 
@@ -256,12 +275,38 @@ def _slopes_at(path: StatePath, first: int, last: int, places: int) -> tuple[Int
 
     Slopes are in nominal values. Rows without finite ones are left out.
     """
-    t, sizes = path.time, path.sizes
+    t = path.time
     wanted = t.searchsorted(np.linspace(t[first], t[last], places))
     rows = np.unique(np.clip(wanted, first, last))
-    slopes = path.slopes(t[rows], path.states[:, rows]) * sizes / sizes[:, None]
+    slopes = path.slopes_at(rows)
     finite = _finite(slopes)
     return rows[finite], slopes[finite]
+
+
+def _growing(path: StatePath, spans: Sequence[_Span]) -> list[bool]:
+    """Return in which spans a deviation of the states that are lines may grow.
+
+    Both ends and the middle tell, where the slopes are about the same there.
+    """
+    if not spans:
+        return []
+    ends = np.array([span[:2] for span in spans])
+    seen = np.unique(np.column_stack((ends, ends.sum(axis=1) // 2)))
+    slopes, found = path.slopes_at(seen), list[bool]()
+    for first, last, calm in spans:
+        own = slopes[(first <= seen) & (seen <= last)][:, calm][:, :, calm]
+        is_known = last - first > 1 and np.isfinite(own).all() and _steady(own)
+        found.append(not is_known or _may_grow(own, path.time[last] - path.time[first]))
+    return found
+
+
+def _may_grow(slopes: Vector, length: float) -> bool:
+    """Return whether a deviation may grow in a time by slopes at places, (m, k, k)."""
+    return bool(np.linalg.eigvals(_distinct(slopes)).real.max() * length > _POSSIBLE)
+
+
+def _steady(slopes: Vector) -> bool:
+    return bool(np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max())
 
 
 def _distinct(slopes: Vector) -> Vector:
@@ -270,41 +315,53 @@ def _distinct(slopes: Vector) -> Vector:
 
 
 def _finite(slopes: Vector) -> Truths:
-    return np.array([np.isfinite(own).all() for own in slopes])
+    return np.asarray(np.isfinite(slopes).all(axis=(1, 2)))
 
 
-def _rows_per_step(t: Vector, steps: int) -> Vector:
-    """Return rows that are about a step of the solver apart, in which it is never straight."""
-    wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
-    return np.unique(np.clip(t.searchsorted(wanted), 0, len(t) - 1))
+class _Bends(NamedTuple):
+    """How far a motion leaves its lines between rows that are about a step of its solver apart.
 
-
-def _straight(
-    path: StatePath, rows: Vector, relative: float, absolute: Vector
-) -> list[tuple[int, int, Truths]]:
-    """Return spans, by their first and last row, and which states are lines in time there, (nx,).
-
-    They are the longest ones in which all states are, and in which some of them are.
+    Attributes:
+        rows: In which a motion that steps follow is never straight, (m,).
+        time: There, s, (m,).
+        sizes: Absolute values of the states at the ends of the gaps between them, (nx, m - 1).
+        bends: How far the states are there from where the gap before leads, (nx, m - 1).
     """
-    t, x = path.time[rows], path.states[:, rows]
-    gaps = np.diff(t)
-    slopes = np.diff(x, axis=1) / gaps
-    if len(gaps) == 1:
-        before = path.rates(t[:1], x[:, :1])
-    else:
-        before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
-    least = relative * np.abs(x[:, 1:]) + absolute[:, None]
-    calm = np.abs((slopes - before) * gaps) <= least
-    growing = calm if path.fed_back is None else calm[path.fed_back]
-    if not growing.any():
-        return []
-    every = _longest(calm.all(axis=0), t)
-    some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
-    chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
-    return [
-        (int(rows[first]), int(rows[last]), calm[:, first:last].all(axis=1))
-        for first, last in chosen
-    ]
+
+    rows: Integers
+    time: Vector
+    sizes: Vector
+    bends: Vector
+
+    @classmethod
+    def of(cls, path: StatePath, steps: int) -> "_Bends":
+        """Return the bends of a path that a solver found in so many steps."""
+        t = path.time
+        wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
+        rows = np.unique(np.minimum(t.searchsorted(wanted), len(t) - 1))
+        t, x = t[rows], path.states[:, rows]
+        gaps = np.diff(t)
+        slopes = np.diff(x, axis=1) / gaps
+        if len(gaps) == 1:
+            before = path.rates(t[:1], x[:, :1])
+        else:
+            before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
+        return cls(rows, t, np.abs(x[:, 1:]), np.abs((slopes - before) * gaps))
+
+    def spans(self, relative: float, absolute: Vector, fed_back: Truths | None) -> list[_Span]:
+        """Return the longest spans in which all states are lines, and in which some are."""
+        calm: Truths = self.bends <= relative * self.sizes + absolute[:, None]
+        growing = calm if fed_back is None else calm[fed_back]
+        if not growing.any():
+            return []
+        rows, t = self.rows, self.time
+        every = _longest(np.logical_and.reduce(calm), t)
+        some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
+        chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
+        return [
+            (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
+            for first, last in chosen
+        ]
 
 
 def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
@@ -395,6 +452,8 @@ class _Course:
         t = path.time
         rows, slopes = _slopes_at_places(path, first, last)
         if not len(rows) or rows[0] != first:
+            return None
+        if not _may_grow(slopes[:, calm][:, :, calm], t[last] - t[first]):
             return None
         values, left = (
             np.broadcast_to(own, (len(rows), *own.shape[1:]))
