@@ -53,11 +53,11 @@ def single_terms(dae: Dae) -> dict[int, SX]:
         Expressions of a state and `dae.p` by the position of the state, (n, 1) each; those of
         time by the position after all states.
     """
-    found = dict[int, list[SX]]()
-    for term in _terms(dae):
+    found, nodes = dict[int, list[SX]](), list(_nodes(dae))
+    for term in _terms(dae, nodes):
         if term.is_local:
             found.setdefault(term.moving, []).append(term.value)
-    for node, _ in _nodes(dae):
+    for node, _ in nodes:
         if node.moving == _MANY and node.value.op() == ca.OP_CALL:
             for moving, value in _in_each_mode(dae, node.value.get_output(0)):
                 found.setdefault(moving, []).append(value)
@@ -111,10 +111,10 @@ def _in_each_mode(dae: Dae, term: SX) -> list[tuple[int, SX]]:
     return [(mover, form) for form in unique.values()]
 
 
-def _terms(dae: Dae) -> list[_Node]:
-    """Return the largest terms that one quantity alone moves, each once."""
+def _terms(dae: Dae, every: Sequence[tuple[_Node, list[_Node]]]) -> list[_Node]:
+    """Return the largest terms that one quantity alone moves, each once, from all nodes."""
     nodes, found = dict[int, _Node](), dict[int, _Node]()
-    for node, operands in _nodes(dae):
+    for node, operands in every:
         nodes[_key(node)] = node
         if node.moving == _MANY:
             found |= {_key(t): t for operand in operands for t in operand.terms + operand.inner}

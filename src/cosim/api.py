@@ -7,7 +7,6 @@ from typing import Any, Unpack
 from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.errors import UsageError
-from cosim.fmi.run.exported import run as run_as_fmu
 from cosim.integrate.keywords import Keywords, RareKeywords, requested
 from cosim.integrate.run import run
 from cosim.model.request import RunRequest, choice
@@ -123,6 +122,8 @@ def simulate(
 def execute(request: RunRequest, backend: Backend = Backend.NATIVE) -> Trajectory:
     """Execute a request on a backend; a goal is first resolved to a solver and a tolerance."""
     if backend.interface is not None:
+        from cosim.fmi.run.exported import run as run_as_fmu
+
         return run_as_fmu(request, backend.interface)
     if backend is Backend.INTERPRETED:
         request = replace(request, policy=replace(request.policy, compiled=False))

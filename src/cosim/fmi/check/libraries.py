@@ -109,7 +109,6 @@ def _fails(call: Sequence[str], folder: Path) -> str:
 
 
 _SUFFIXES = (".so", ".dll", ".dylib")
-_EVERYWHERE = {system: re.compile(pattern) for system, pattern in EVERYWHERE.items()}
 _OLDEST = {  # systems of 2020
     "GLIBC": ((2, 31), RULES["glibc"]),  # Debian 11, Ubuntu 20.04
     "macOS": ((11, 0), RULES["macos"]),
@@ -150,12 +149,12 @@ def _elsewhere(
     archive: zipfile.ZipFile, path: PurePosixPath, library: Library
 ) -> Iterator[tuple[Rule, str]]:
     present = {PurePosixPath(other).name for other in archive.namelist()}
-    everywhere = _EVERYWHERE[library.system]
+    everywhere = EVERYWHERE[library.system]
     needed = sorted(n for n in library.needs if n.rpartition("/")[2] not in present)
-    if foreign := [name for name in needed if not everywhere.fullmatch(name)]:
+    if foreign := [name for name in needed if not re.fullmatch(everywhere, name)]:
         yield RULES["imports"], f"it loads {', '.join(foreign)}, not in the FMU"
     missing = sorted(library.undefined)
-    if missing and all(_EVERYWHERE["linux"].fullmatch(name) for name in library.needs):
+    if missing and all(re.fullmatch(EVERYWHERE["linux"], name) for name in library.needs):
         shown = shortened(missing, _NAMES)
         yield RULES["undefined"], f"it names no library that has {shown} ({len(missing)} symbols)"
     found = [m for text in library.versions if (m := _VERSION.fullmatch(text))]
