@@ -320,3 +320,12 @@ def test_rounding_that_leaves_an_unstable_equilibrium_is_said(solver):
     values = {"theta": np.pi / 2, "theta_dot": 0.0, "b": 0.0}
     run = cosim.simulate("bar_on_frame/two_body", solver=solver, start_values=values, stop_time=3)
     assert "at an unstable equilibrium but for rounding" in run.stats["note"]
+
+
+@pytest.mark.parametrize(("begin", "end", "right"), [(1, 2.2, 1.9737e-3), (8, 9.5, 4.8923)])
+def test_growth_in_a_window_of_the_way_is_followed(begin, end, right):
+    s, x, v = (SX.sym(name) for name in "sxv")
+    stiffness = 200 * (ca.tanh((s - begin) / 0.2) - ca.tanh((s - end) / 0.2)) - 1
+    laws = {"x": ca.vertcat(s, x, v), "ode": ca.vertcat(1, v, stiffness * x - 0.5 * v + 1e-14)}
+    run = cosim.simulate(cosim.from_casadi(laws, stop_time=10, output_interval=0.1))
+    assert run.final["x"] == pytest.approx(right, rel=1e-4)  # by scipy with steps of 20 ms

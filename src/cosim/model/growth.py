@@ -24,7 +24,6 @@ _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
 _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
-_POSSIBLE = 0.5  # of the exponent of a growth that counts
 _SHORTER = 4.0  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
 _MOST_EXPONENT = 600.0
@@ -181,13 +180,10 @@ class _Level(NamedTuple):
         """Return whether an error may become visible, as slopes along a motion tell."""
         if self.error == np.inf:
             return True
+        last, needed = len(path.time) - 1, float(np.log(self.least / self.error))
         for places, between in ((_PLACES, _MORE), (_MORE * _PLACES, 1)):
-            rows, slopes = _slopes_at(path, 0, len(path.time) - 1, places)
-            if not len(rows):
-                return False
-            rates = np.fmax(np.linalg.eigvals(_distinct(slopes)).real.max(axis=1), 0)
-            exponent = np.trapezoid(np.broadcast_to(rates, rows.shape), path.time[rows])
-            if between * exponent <= np.log(self.least / self.error):
+            rows, slopes = _slopes_at(path, 0, last, places)
+            if between * _exponent(path.time[rows], slopes) <= needed:
                 return False
         return True
 
@@ -259,7 +255,7 @@ def _may_grow_on_line(path: StatePath, rate: Vector) -> bool:
     finite = _finite(slopes)
     if not finite[0] or not path.rates(times, line).any():
         return False
-    return _may_grow(slopes[finite], np.ptp(times))
+    return bool(_growth_rates(slopes[finite]).max() * np.ptp(times) > 1)
 
 
 def _slopes_at_places(path: StatePath, first: int, last: int) -> tuple[Integers, Vector]:
@@ -275,34 +271,52 @@ def _slopes_at(path: StatePath, first: int, last: int, places: int) -> tuple[Int
 
     Slopes are in nominal values. Rows without finite ones are left out.
     """
-    t = path.time
-    wanted = t.searchsorted(np.linspace(t[first], t[last], places))
-    rows = np.unique(np.clip(wanted, first, last))
+    rows = _spread(path.time, first, last, places)
     slopes = path.slopes_at(rows)
     finite = _finite(slopes)
     return rows[finite], slopes[finite]
 
 
+def _spread(t: Vector, first: int, last: int, places: int) -> Integers:
+    """Return some rows from a first to a last one, evenly in time, (m,)."""
+    wanted = t.searchsorted(np.linspace(t[first], t[last], places))
+    return np.unique(np.clip(wanted, first, last))
+
+
 def _growing(path: StatePath, spans: Sequence[_Span]) -> list[bool]:
-    """Return in which spans a deviation of the states that are lines may grow.
-
-    Both ends and the middle tell, where the slopes are about the same there.
-    """
-    if not spans:
-        return []
-    ends = np.array([span[:2] for span in spans])
-    seen = np.unique(np.column_stack((ends, ends.sum(axis=1) // 2)))
-    slopes, found = path.slopes_at(seen), list[bool]()
-    for first, last, calm in spans:
-        own = slopes[(first <= seen) & (seen <= last)][:, calm][:, :, calm]
-        is_known = last - first > 1 and np.isfinite(own).all() and _steady(own)
-        found.append(not is_known or _may_grow(own, path.time[last] - path.time[first]))
-    return found
+    """Return in which spans, or soon after, a deviation may grow by e, as slopes there tell."""
+    if spans:  # all slopes at once
+        every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
+        path.slopes_at(np.unique(np.concatenate(every)))
+    return [_may_grow(path, *span[:2]) for span in spans]
 
 
-def _may_grow(slopes: Vector, length: float) -> bool:
-    """Return whether a deviation may grow in a time by slopes at places, (m, k, k)."""
-    return bool(np.linalg.eigvals(_distinct(slopes)).real.max() * length > _POSSIBLE)
+def _may_grow(path: StatePath, first: int, last: int) -> bool:
+    """Return whether a deviation may grow by e from a row to another one, or soon after."""
+    rows, slopes = _slopes_at(path, first, last, _PLACES)
+    if len(rows) < _PLACES:
+        return True
+    between = 1 if _steady(slopes) else _MORE
+    return between * _exponent(path.time[rows], slopes, _end(path.time, first, last)) > 1
+
+
+def _end(t: Vector, first: int, last: int) -> float:
+    """Return when a line ends at the latest that goes on after some rows, s."""
+    return float(min(t[last] + _SHORTER * (t[last] - t[first]), t[-1]))
+
+
+def _exponent(t: Vector, slopes: Vector, end: float = -np.inf) -> float:
+    """Return the logarithm of the largest growth over times, s, (m,), and from there to an end."""
+    if not len(t):
+        return 0.0
+    rates = np.broadcast_to(np.fmax(_growth_rates(slopes), 0), t.shape)
+    return float(np.trapezoid(rates, t) + rates[-1] * max(end - t[-1], 0))
+
+
+def _growth_rates(slopes: Vector) -> Vector:
+    """Return the largest real part of the eigenvalues at places, 1/s, (m,), or the only one."""
+    rates: Vector = np.linalg.eigvals(_distinct(slopes)).real.max(axis=1)
+    return rates
 
 
 def _steady(slopes: Vector) -> bool:
@@ -453,8 +467,6 @@ class _Course:
         rows, slopes = _slopes_at_places(path, first, last)
         if not len(rows) or rows[0] != first:
             return None
-        if not _may_grow(slopes[:, calm][:, :, calm], t[last] - t[first]):
-            return None
         values, left = (
             np.broadcast_to(own, (len(rows), *own.shape[1:]))
             for own in np.linalg.eig(_distinct(slopes).transpose(0, 2, 1))
@@ -464,8 +476,7 @@ class _Course:
         fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
         rates = fastest.max(axis=1)
         rates = np.append(rates, rates[-1])  # the line may go on
-        end = min(t[last] + _SHORTER * (t[last] - t[first]), t[-1])
-        time = np.append(t[rows], max(end, t[rows[-1]]))
+        time = np.append(t[rows], max(_end(t, first, last), t[rows[-1]]))
         grown = np.append(0.0, np.cumsum((rates[1:] + rates[:-1]) / 2 * np.diff(time)))
         begin = int(np.argmin(grown[:-1]))
         grown = grown[begin:] - grown[begin]
