@@ -55,10 +55,10 @@ static Instance *create(const Host *host, const char *function, const char *name
     }
 
     const size_t name_size = strlen(name) + 1;
-    const size_t jacobian = (NX + NZ) * (NX + NU);
+    const size_t jacobian = (NX + NZ) * (NX + NU), doubles = ROOM_OF_W + MODES * MODES;
     const size_t size = sizeof(Instance) + jacobian * sizeof(double) +
                         ROOM_OF_ARG * sizeof *draft.arg + ROOM_OF_RES * sizeof *draft.res +
-                        ROOM_OF_IW * sizeof *draft.iw + ROOM_OF_W * sizeof *draft.w + name_size;
+                        ROOM_OF_IW * sizeof *draft.iw + doubles * sizeof *draft.w + name_size;
     Instance *self = take_memory(size);
     if (!self) {
         log_text(&draft, ERROR, "no memory for an instance of %zu bytes", size);
@@ -69,7 +69,7 @@ static Instance *create(const Host *host, const char *function, const char *name
     self->categories = logging ? UINT32_MAX : 0;
     self->jacobian = (double *)(self + 1);
     self->w = self->jacobian + jacobian;
-    void *behind = self->w + ROOM_OF_W;
+    void *behind = self->w + doubles;
     self->iw = behind;
     self->arg = (const double **)(self->iw + ROOM_OF_IW);
     self->res = (double **)(self->arg + ROOM_OF_ARG);

@@ -19,6 +19,7 @@
 typedef struct {
     double t, span;
     double *x, *z, *u;                /* with modes; after an instant, the values after it */
+    double *w;                        /* work space, whose size `cosim_kernel_sizes` tells */
     const double *slopes, *c, *sizes; /* of the inputs with modes; constants; of the states */
     double *switching;                /* a `Switching` */
     double *zero, *order;             /* of relations and rules, see Happening */
@@ -43,12 +44,11 @@ typedef struct {
     const double *arg[WORK_ARG + 1];
     double *res[WORK_RES + 1];
     long long iw[WORK_IW + 1];
-    double w[WORK_W + 1];
 } Kernel;
 
 static inline void open_kernel(Kernel *self, const Call *call) {
     self->owner = (LawOwner){call->c,  call->sizes, call->slopes, self->arg, self->res,
-                             self->iw, self->w,     NULL,         NULL,      NULL};
+                             self->iw, call->w,     NULL,         NULL,      NULL};
     self->laws = laws_of_model(&self->owner);
     self->at = (Point){call->t, call->x, call->z, call->u};
     self->switching = (Switching *)(void *)call->switching;
@@ -62,10 +62,11 @@ static inline void tell(Call *call, const Ending *found) {
     call->size = found->size;
 }
 
-/* Sizes that Python compares: of structures, of `Switching` in numbers, and of the laws. */
+/* Sizes of structures and of the laws, which Python compares; of `Switching` and of the work space,
+ * in numbers. */
 SHARED void cosim_kernel_sizes(long long *out) {
-    const long long sizes[] = {sizeof(Call), sizeof(MotionRows), SWITCHING_SIZE, NX, NZ, NU, MODES,
-                               EVENTS};
+    const long long sizes[] = {sizeof(Call),   sizeof(MotionRows),    NX, NZ, NU, MODES, EVENTS,
+                               SWITCHING_SIZE, WORK_W + MODES * MODES};
     memcpy(out, sizes, sizeof sizes);
 }
 

@@ -33,7 +33,7 @@ typedef struct {
     const double **arg;   /* CasADi's work space */
     double **res;
     long long *iw;
-    double *w;
+    double *w; /* its WORK_W numbers, and MODES * MODES more */
     void (*move)(const void *owner, double t, double slopes[]); /* gives slopes; or NULL */
     const void *owner;                                          /* of `move` */
     const double *departure; /* second derivatives of inputs that rest, and move on; or NULL */
@@ -164,6 +164,7 @@ static inline Laws laws_of_model(LawOwner *owner) {
         .barriers = model_laws.barriers,
         .bounded = model_laws.bounded,
         .enclosed = model_laws.enclosed,
+        .room = owner->w + WORK_W,
         .see = law_see,
         .decide = law_decide,
         .spread = law_spread,

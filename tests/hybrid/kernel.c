@@ -80,8 +80,9 @@ static bool timed(void *owner, const Point *at, double t, double arguments[], do
 }
 
 static Laws laws_of(Body *body) {
-    return (Laws){body,  relations, rules,        assigned, adds,  barriers, bounded, enclosed,
-                  false, see,       decide_rules, spread,   timed, NULL,     NULL};
+    static double room[MODES * MODES];
+    return (Laws){body, relations, rules, assigned,     adds,   barriers, bounded, enclosed,
+                  room, false,     see,   decide_rules, spread, timed,    NULL,    NULL};
 }
 
 static const bool nothing[MODES + 1];

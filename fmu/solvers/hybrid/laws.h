@@ -91,6 +91,7 @@ typedef struct {
     const int *barriers; /* relations */
     const int *bounded;  /* relations of time whose arguments have bounds, BOUNDED of them */
     const int *enclosed; /* other relations whose arguments have bounds, ENCLOSED of them */
+    double *room;        /* MODES * MODES numbers for what slides: more than a stack may hold */
     bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
     bool (*see)(void *owner, const Point *at, Seen *found);
     bool (*decide)(void *owner, const Point *at, Decision *found);

@@ -11,7 +11,7 @@ static const double NOT_AFFINE = 1e-8; /* rate of an argument that should stay, 
 /* Sets the modes of relations that slide; false where none keep their arguments. The rates of the
  * arguments are affine in the modes: both sides tell how. A mode of exactly 0 is that of rest. */
 static inline bool follow(const Laws *laws, const Switching *s, const Point *at) {
-    double *modes = modes_of(at), sizes[MODES + 1], a[MODES * MODES + 1], b[MODES + 1];
+    double *modes = modes_of(at), *a = laws->room, sizes[MODES + 1], b[MODES + 1];
     int which[MODES + 1], n = 0;
     Seen base, one;
     for (int i = 0; i < MODES; i++)

@@ -161,18 +161,18 @@ class Switching:
 
 
 @cached_per_thread(16)
-def _library(system: Hybrid) -> tuple[ctypes.CDLL, int]:
-    """Return the library of a model, and how many numbers its `Switching` has."""
+def _library(system: Hybrid) -> tuple[ctypes.CDLL, int, int]:
+    """Return the library of a model; how many numbers its `Switching` and work space have."""
     library = ctypes.CDLL(kernel_library(system))
     library.cosim_due.restype = _DOUBLE
-    sizes = (_LONG * 8)()
+    sizes = (_LONG * 9)()
     library.cosim_kernel_sizes(sizes)
     dae = system.dae
     numels = [column.numel() for column in (dae.x, dae.z, dae.u)]
     structures = [ctypes.sizeof(structure) for structure in (_Call, _Rows)]
-    own = [*structures, sizes[2], *numels, len(system.relations), len(system.events)]
-    assert list(sizes) == own, "the library of events belongs to another model"
-    return library, sizes[2]
+    own = [*structures, *numels, len(system.relations), len(system.events)]
+    assert sizes[:7] == own, "the library of events belongs to another model"
+    return library, sizes[7], sizes[8]
 
 
 class Kernel:
@@ -195,7 +195,7 @@ class Kernel:
         self.system = system
         self.span = span
         self._end = _DOUBLE(end)
-        self._library, count = _library(system)
+        self._library, count, room = _library(system)
         dae, m = system.dae, len(system.relations)
         self._arrays = {
             "x": np.zeros(dae.x.numel() + 1),
@@ -205,6 +205,7 @@ class Kernel:
             "c": np.append(p, 0.0),
             "sizes": np.append(sizes, 0.0),
             "switching": np.zeros(count),
+            "w": np.zeros(room),
             "zero": np.zeros(m + 1),
             "later": np.zeros(m + 1),
             "order": np.zeros(len(system.events) + 1),
