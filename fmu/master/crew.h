@@ -32,6 +32,8 @@ static inline void crew_end(Crew *self) {
 
 #include <pthread.h>
 
+enum { STACK = 8 << 20 }; /* bytes: FMUs take as much as main threads have; macOS gives 512 kB */
+
 /* What the threads of a crew share. */
 typedef struct {
     pthread_mutex_t lock;
@@ -68,6 +70,7 @@ static inline void *work_by_hand(void *given) {
 /* Starts a thread for each member but the first; none where memory or threads are short. */
 static inline void crew_start(Crew *self) {
     const size_t hands = (size_t)self->count - 1;
+    pthread_attr_t attributes;
     self->started = 0;
     self->hands = malloc(hands * sizeof *self->hands + sizeof(Signals));
     if (!self->hands) return;
@@ -76,12 +79,15 @@ static inline void crew_start(Crew *self) {
     pthread_mutex_init(&signals->lock, NULL);
     pthread_cond_init(&signals->begin, NULL);
     pthread_cond_init(&signals->end, NULL);
+    pthread_attr_init(&attributes);
+    pthread_attr_setstacksize(&attributes, STACK);
     for (size_t i = 0; i < hands; ++i) {
         struct Hand *hand = self->hands + i;
         *hand = (struct Hand){self, signals, self->members + (i + 1) * self->size, 0};
-        if (pthread_create(&hand->thread, NULL, work_by_hand, hand)) return;
+        if (pthread_create(&hand->thread, &attributes, work_by_hand, hand)) break;
         ++self->started;
     }
+    pthread_attr_destroy(&attributes);
 }
 
 /* Does the task on all members, and returns when all is done. */

@@ -1,15 +1,20 @@
 """A system in several threads and processes."""
 
 import pickle
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.harness import POSIX, STRICT, compiler
 from helpers.small_models import decay
 
 import cosim
 from cosim.coupling.files import read_system
 
+ROOT = Path(__file__).parents[2]
 RIDE = "examples/coupled/ride.toml"
 TIMES = {"stop_time": 0.2, "accuracy": 1e-3}
 
@@ -46,3 +51,14 @@ def test_a_system_that_has_run_can_be_pickled(kind, tmp_path):
     content = pickle.dumps(system)
     del system  # with the files that were unpacked for it
     np.testing.assert_array_equal(pickle.loads(content).simulate(**TIMES).values, run.values)
+
+
+@pytest.mark.skipif(not compiler() or sys.platform == "win32", reason="needs C and POSIX threads")
+def test_threads_have_stacks_as_large_as_that_of_a_program(tmp_path):
+    program, headers = tmp_path / "crew", ROOT / "fmu" / "master"
+    flags = (*STRICT, POSIX, f"-I{headers}", "-pthread")
+    source = Path(__file__).with_name("crew.c")
+    subprocess.run([compiler(), *flags, source, "-o", program], check=True)
+    small = f"ulimit -s 512 && exec {program}"  # what macOS gives threads, here those of Linux too
+    done = subprocess.run(["sh", "-c", small], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "2 2 3\n")
