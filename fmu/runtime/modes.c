@@ -162,9 +162,11 @@ Status get_insides(Instance *self, double inside[]) {
     const double *values = self->state.values;
     double all[ROOM(MODES)], rates[ROOM(MODES)];
     Spread spread;
-    note_least(&laws, s, &at, &spread);
-    s->rounded += values[TIME] != s->looked;
-    s->looked = values[TIME];
+    if (laws.blind) { /* solvers of co-simulation note their own looks */
+        note_least(&laws, s, &at, &spread);
+        s->rounded += values[TIME] != s->looked;
+        s->looked = values[TIME];
+    }
     measure(&laws, s, values + FIRST_MODE, &seen, all, rates);
     for (int i = 0, k = 0; i < MODES; i++) {
         if (relation_table[i].of_time) continue;

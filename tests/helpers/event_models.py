@@ -242,6 +242,16 @@ def pushed_block() -> Dae:
     return model.freeze()
 
 
+def stuck() -> Dae:
+    """Return a body of 1 kg at rest, which a force pushes and dry friction holds."""
+    model = Model("stuck", stop_time=1.0)
+    v, u = model.state("v", "m/s", 0.0, "speed"), model.input("u", "N", 0.1, "force")
+    mu = model.parameter("mu", "N", 0.3, "most friction", minimum=0.0)
+    model.derivative(v, u - mu * ca.sign(v))
+    model.output("friction", "N", mu * ca.sign(v), "friction")
+    return model.freeze()
+
+
 def write(folder: Path, dae: Dae, solver: str, *, fmi: int, most_trials: int) -> None:
     """Write the generated files of an exported model under the toy's GUID, and its solver's files.
 

@@ -1,7 +1,7 @@
 """Events in the runtime: saved states, event mode, time events, derivatives while sliding."""
 
 import math
-from ctypes import byref, c_double, c_int, c_void_p
+from ctypes import byref, c_bool, c_double, c_int, c_void_p
 
 import pytest
 from helpers import event_models, harness
@@ -13,6 +13,7 @@ LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
 HOLDING = ("time", "x", "n", "y", "der(x)", "der(n)", "der(y)", "u", "mode_1", "period")
 HUMMING = ("time", "x", "der(x)", "y")
+STUCK = ("time", "v", "der(v)", "u", "mode_1", "mu", "friction", "event_indicator_1")
 POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
 
@@ -323,3 +324,32 @@ def test_a_call_ends_however_long_its_step_is(make, solver):
     time, x = fmu.get("time", "x")
     assert 0 < time < 1e5
     assert x == pytest.approx(time, rel=1e-10)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_friction_that_a_parameter_changes_while_it_holds_is_no_event(make, version):
+    fmu = make("stuck", STUCK, 1, version).initialize()
+    for k in range(3):
+        assert fmu.set(u=0.1 + 0.05 * k, mu=0.3 + 0.1 * k) == OK
+        arguments = (k * 0.1, 0.1)
+        status = fmu.step(*arguments)[0] if version == 3 else fmu("DoStep", *arguments, 1)
+        assert status == OK
+        assert fmu.get("friction") == pytest.approx([0.1 + 0.05 * k], abs=1e-15)
+    assert fmu.messages == []  # before: "at 0.1 s: sign of v", "at 0.2 s: ..."
+
+
+def test_reading_between_steps_changes_no_bit_of_a_motion_that_slides(make):
+    states = []
+    for reads in (False, True):
+        fmu = make("stuck", STUCK, 1, 3, events=True).initialize()
+        flags, next_time = [c_bool() for _ in range(5)], c_double()
+        assert fmu("UpdateDiscreteStates", *map(byref, flags), byref(next_time)) == OK
+        assert fmu("EnterStepMode") == OK
+        for k in range(3):
+            assert fmu.set(u=0.1 + 0.05 * k, mu=0.3 + 0.1 * k) == OK
+            if reads:
+                fmu.get(*STUCK)
+            assert fmu.step(k * 0.1, 0.1)[:2] == (OK, [False, False, False])
+        fmu.get(*STUCK)
+        states.append(fmu.serialize(fmu.take()).raw)
+    assert states[0] == states[1]

@@ -337,6 +337,7 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
     found->count = found->rounds = 0;
     found->states_changed = found->modes_changed = *replan = false;
     memcpy(before, x, NX * sizeof *x);
+    follow(laws, s, at); /* modes that slide are those of now */
     memcpy(found->modes, modes, MODES * sizeof *modes);
     memset(found->zero, 0, sizeof found->zero);
     if (s->stopped > 0) {
