@@ -212,11 +212,9 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
         if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
+    const Status known = N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
 #if HAS_LOOKS
     const bool looks = self->state.mode == CONTINUOUS_TIME_MODE && note_look(self);
-#endif
-    const Status known = N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
-#if N_WATCHED > 0
     if (known == OK && looks) look_between(self, values + N_LIMITS);
 #endif
     return known;

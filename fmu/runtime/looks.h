@@ -158,6 +158,8 @@ static void look_between(Instance *self, double insides[]) {
     looks->left = place.t;
     insides[places[i]] = fmin(place.rates[i] * (now - place.t), -DBL_MIN);
 }
+#else
+#define look_between(self, insides) ((void)(self), (void)(insides))
 #endif
 
 #endif

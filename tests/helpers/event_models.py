@@ -242,6 +242,15 @@ def pushed_block() -> Dae:
     return model.freeze()
 
 
+def limited() -> Dae:
+    """Return a motion at 1 m/s that is valid up to 2 m."""
+    model = Model("limited", stop_time=1.0)
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1.0)
+    model.limit(2 - x, "x below 2 m")
+    return model.freeze()
+
+
 def stuck() -> Dae:
     """Return a body of 1 kg at rest, which a force pushes and dry friction holds."""
     model = Model("stuck", stop_time=1.0)

@@ -6,6 +6,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from helpers import event_models, harness
 from helpers.harness import HEADERS, INCLUDES, RUNTIME, SOLVERS, STRICT, compiler, sources
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
@@ -110,3 +111,8 @@ def test_every_function_is_declared_in_a_header(model, version):
             check=False,
         )
         assert done.returncode == 0, done.stderr
+
+
+def test_a_model_with_limits_and_no_relations_compiles_without_a_warning(tmp_path):
+    event_models.write(tmp_path, event_models.limited(), "dop853", fmi=2, most_trials=100)
+    assert harness.compiled(tmp_path, 2, ["-O0"], tmp_path).is_file()  # before: unused 'looks'

@@ -102,11 +102,11 @@ def _event_tables(plan: Plan) -> str:
     places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
     inputs = [variable.name for variable in plan.variables if variable.role is Role.INPUT]
     movers = map(system.movers, range(len(system.relations)))
-    texts: dict[str, Sequence[str | None]] = {
+    texts = {
         "relation_names": [system.described(i) for i in range(len(system.relations))],
         "relation_movers": [", ".join(inputs[k] for k in own) for own in movers],
         "rule_names": [event.name for event in system.events],
-        "rule_messages": [event.message or None for event in system.events],
+        "rule_messages": [event.message for event in system.events],
     }
     return f"""
 {law_tables(system, plan.functions)}
@@ -116,9 +116,8 @@ static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
 """
 
 
-def _texts(name: str, texts: Sequence[str | None]) -> str:
-    literals = ["NULL" if text is None else _literal(text) for text in (*texts, None)]
-    lines = "".join(f"    {literal},\n" for literal in literals)
+def _texts(name: str, texts: Sequence[str]) -> str:
+    lines = "".join(f"    {literal},\n" for literal in (*map(_literal, texts), "NULL"))
     return f"static const char *const {name}[] = {{\n{lines}}};\n"
 
 
