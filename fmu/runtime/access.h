@@ -195,7 +195,7 @@ static Status get_validity(Instance *self, const Reference references[], size_t 
     if (self->state.mode == INSTANTIATED)
         return refuse(self, DISCARD, "valid has no value before initialization");
     const Status status = refresh(self, OUTPUTS);
-    *valid = self->state.outside == 0;
+    *valid = self->state.violated == 0;
     if (status == OK && !room) return refuse(self, ERROR, "there is no room for the values");
     return status;
 }
@@ -211,7 +211,7 @@ static Status get_indicators(Instance *self, double values[], size_t count) {
     const Status status = get_margins(self, values);
     if (status != OK) return status;
     for (int i = 0; i < N_LIMITS; i++)
-        if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside >> i & 1)) values[i] = -1;
+        if (!isfinite(values[i]) || (!HAS_VALID && self->state.outside[i] > 0)) values[i] = -1;
     const Status known = N_WATCHED > 0 ? get_insides(self, values + N_LIMITS) : OK;
 #if HAS_LOOKS
     const bool looks = self->state.mode == CONTINUOUS_TIME_MODE && note_look(self);

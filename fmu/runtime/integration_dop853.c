@@ -271,7 +271,8 @@ static bool show(const Stepper *self, double *end) {
     move_to(self, memory->until);
     const bool well = pass_midway(self->fmu, end);
     before.mode = state->mode;
-    before.outside = state->outside;
+    before.violated = state->violated;
+    memcpy(before.outside, state->outside, sizeof before.outside);
     memcpy(before.memory.leaves, memory->leaves, sizeof memory->leaves);
     memcpy(before.widest, state->widest, sizeof before.widest);
     memcpy(before.left, state->left, sizeof before.left);

@@ -28,7 +28,7 @@ typedef struct {
 } Margin;
 
 static bool is_left(const Instance *self, int limit) {
-    return self->state.outside >> limit & 1;
+    return self->state.outside[limit] > 0;
 }
 
 static void all_margins(const Margin *self, double t, double margins[]) {
@@ -106,7 +106,9 @@ static bool hold_in_box(const Margin *self, double begin, double end) {
     Instance *fmu = self->fmu;
     Proven *proven = &fmu->proven;
     const double *values = fmu->state.values, *given = values + FIRST_PARAMETER - MODES;
-    const bool known = proven->known && proven->outside == fmu->state.outside &&
+    const double *left = fmu->state.outside;
+    const bool known = proven->known &&
+                       memcmp(left, proven->outside, sizeof proven->outside) == 0 &&
                        memcmp(given, proven->given, (MODES + NP) * sizeof *given) == 0;
     bool holds = known && begin >= proven->begin && end <= proven->end;
     double low[ROOM(NX)], high[ROOM(NX)], lows[BOUNDED_LIMITS];
@@ -134,7 +136,7 @@ static bool hold_in_box(const Margin *self, double begin, double end) {
             holds &= lows[k] >= 0 || is_left(fmu, bounded_limits[k]);
         if (!holds) continue;
         proven->known = true;
-        proven->outside = fmu->state.outside;
+        memcpy(proven->outside, left, sizeof proven->outside);
         proven->begin = part.begin;
         proven->end = part.begin + part.length;
         memcpy(proven->low, part.low, NX * sizeof *low);

@@ -16,7 +16,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 20 };
+enum { LAYOUT_VERSION = 21 };
 
 typedef struct {
     uint64_t magic;
@@ -101,7 +101,7 @@ static bool is_mode(const Instance *self, uint32_t mode) {
 static bool plausible(const Instance *self, const State *state) {
     if (state->interface != self->state.interface || !is_mode(self, state->mode)) return false;
     if (state->stale > (EVERYTHING | SIDES) || state->experiment_set > 1 ||
-        state->motion_spent > 1 || state->retuned > 1 || (uint64_t)state->outside >> N_LIMITS ||
+        state->motion_spent > 1 || state->retuned > 1 || state->violated > N_LIMITS ||
         state->step_status > ERROR)
         return false;
     if (!(state->tolerance > 0 && state->tolerance < 1) || isnan(state->stop_time)) return false;

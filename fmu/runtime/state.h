@@ -123,19 +123,20 @@ typedef struct {
 #if HAS_LOOKS
     Looks looks;
 #endif
-    double widest[ROOM(N_LIMITS)]; /* margin of each limit so far: what it is measured by */
-    double left[ROOM(N_LIMITS)];   /* last communication step outside each limit, from 1 on */
-    double stop_time;              /* infinite where none was given */
-    double tolerance;              /* relative, of co-simulation */
-    double steps;                  /* of communication, taken since the start */
-    uint32_t interface;            /* INTERFACE_ME or INTERFACE_CS */
-    uint32_t mode;                 /* one of INSTANTIATED ... INTERMEDIATE_INPUTS */
-    uint32_t stale;                /* of START_VALUES ... SIDES */
-    uint32_t experiment_set;       /* start time and tolerance are settled */
-    uint32_t motion_spent;         /* the inputs' derivatives belong to a step that is over */
-    uint32_t step_status;          /* of the last communication step */
-    uint32_t retuned;              /* a parameter has changed since the last one */
-    uint32_t outside;              /* limits of the model that are left, a bit each */
+    double widest[ROOM(N_LIMITS)];  /* margin of each limit so far: what it is measured by */
+    double left[ROOM(N_LIMITS)];    /* last communication step outside each limit, from 1 on */
+    double outside[ROOM(N_LIMITS)]; /* 1: the limit is left */
+    double stop_time;               /* infinite where none was given */
+    double tolerance;               /* relative, of co-simulation */
+    double steps;                   /* of communication, taken since the start */
+    uint32_t interface;             /* INTERFACE_ME or INTERFACE_CS */
+    uint32_t mode;                  /* one of INSTANTIATED ... INTERMEDIATE_INPUTS */
+    uint32_t stale;                 /* of START_VALUES ... SIDES */
+    uint32_t experiment_set;        /* start time and tolerance are settled */
+    uint32_t motion_spent;          /* the inputs' derivatives belong to a step that is over */
+    uint32_t step_status;           /* of the last communication step */
+    uint32_t retuned;               /* a parameter has changed since the last one */
+    uint32_t violated;              /* how many limits of the model are left */
 } State;
 
 #if BOUNDED_LIMITS > 0
@@ -143,7 +144,7 @@ typedef struct {
    have bounds, with these modes and parameters. */
 typedef struct {
     double begin, end, low[ROOM(NX)], high[ROOM(NX)], given[ROOM(MODES + NP)];
-    uint32_t outside; /* limits that had been left before */
+    double outside[ROOM(N_LIMITS)]; /* limits that had been left before */
     bool known;
 } Proven;
 #endif

@@ -11,23 +11,19 @@ typedef struct {
     const char *joint, *limit;
 } Hint;
 
-_Static_assert(N_LIMITS <= 32, "a bit for each limit");
-
 /* Warn of a limit that is left, and again after a whole communication step inside, so that a motion
    that chatters causes one warning; the run goes on. In model exchange a limit that has been left
    is not watched any more, as margins beyond it may have poles; `valid` needs both directions. */
 static void note_side(Instance *self, int i, double time, bool inside) {
-    const uint32_t bit = UINT32_C(1) << i;
     State *state = &self->state;
+    double *known = &state->outside[i];
     const double step = state->steps + 1, last = state->left[i];
-    if (!inside && !(state->outside & bit) && (last == 0 || step > last + 1))
+    if (inside && !HAS_VALID && state->interface == INTERFACE_ME) return;
+    if (!inside && *known == 0 && (last == 0 || step > last + 1))
         log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
-    if (!inside) {
-        state->outside |= bit;
-        state->left[i] = step;
-    } else if (HAS_VALID || state->interface == INTERFACE_CS) {
-        state->outside &= ~bit;
-    }
+    if (!inside) state->left[i] = step;
+    state->violated += (uint32_t)!inside - (uint32_t)*known;
+    *known = !inside;
 }
 
 /* What is not a number is outside. */
@@ -53,7 +49,7 @@ static Hint nearest_limit(const Instance *self, const double margins[]) {
     }
     if (nearest < 0) {
         for (int i = 0; i < N_LIMITS; i++)
-            if (self->state.outside >> i & 1) return (Hint){"; invalid before: ", violations[i]};
+            if (self->state.outside[i] > 0) return (Hint){"; invalid before: ", violations[i]};
         return (Hint){"", ""};
     }
     return least > 0 ? (Hint){"; the nearest limit: ", limits[nearest]}

@@ -242,12 +242,13 @@ def pushed_block() -> Dae:
     return model.freeze()
 
 
-def limited() -> Dae:
-    """Return a motion at 1 m/s that is valid up to 2 m."""
+def limited(count: int = 1) -> Dae:
+    """Return a motion at 1 m/s with a limit every 0.1 m."""
     model = Model("limited", stop_time=1.0)
     x = model.state("x", "m", 0.0, "place")
     model.derivative(x, 1.0)
-    model.limit(2 - x, "x below 2 m")
+    for k in range(1, count + 1):
+        model.limit(k / 10 - x, f"x below {k} dm")
     return model.freeze()
 
 

@@ -13,6 +13,7 @@ LEFT = ("time", "x", "w", "der(x)", "der(w)", "u", "mode_1", "force")
 SAMPLED = ("time", "x", "u", "der(x)", "der(u)", "mode_1")
 HOLDING = ("time", "x", "n", "y", "der(x)", "der(n)", "der(y)", "u", "mode_1", "period")
 HUMMING = ("time", "x", "der(x)", "y")
+LIMITED = ("time", "x", "der(x)")
 STUCK = ("time", "v", "der(v)", "u", "mode_1", "mu", "friction", "event_indicator_1")
 POLE = ("time", "x", "y", "n", "der(x)", "der(y)", "der(n)", "mode_1", "valid_margin_1")
 
@@ -353,3 +354,16 @@ def test_reading_between_steps_changes_no_bit_of_a_motion_that_slides(make):
         fmu.get(*STUCK)
         states.append(fmu.serialize(fmu.take()).raw)
     assert states[0] == states[1]
+
+
+def test_each_of_many_limits_is_told_once(make):
+    fmu = make("limited", LIMITED, 1, given=(70,)).initialize()
+    for k in range(5):
+        snapshot, before = fmu.take(), len(fmu.messages)
+        for _ in range(2):
+            assert fmu("SetFMUstate", snapshot) == OK
+            assert fmu("DoStep", k * 1.25, 1.25, 1) == OK
+        said = [text for *_, text in fmu.messages[before:]]
+        limits = range(int(12.5 * k) + 1, int(12.5 * (k + 1)) + 1)
+        told = "fmi2DoStep: invalid from {:.12g} s: not fulfilled: x below {} dm"
+        assert said == 2 * [told.format(d / 10, d) for d in limits]
