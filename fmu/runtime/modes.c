@@ -202,17 +202,15 @@ static bool step_afresh(void *step, double t, Place *found) {
 
 static bool stays(void *step, const Place *a, const Place *b) {
     SearchedStep *self = step;
-    double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
+    const Motion *motion = self->motion;
+    double z[ROOM(NZ)] = {0};
     Sample samples[NODES];
     if (ENCLOSED == 0 || self->proven) return true;
-    for (int k = NODES - 1; k >= 0; k--) {
-        self->motion->at(self->motion->solver, node_between(a->t, b->t, k), x, z, u);
-        memcpy(samples[k], x, NX * sizeof *x);
-        memcpy(samples[k] + NX, u, NU * sizeof *u);
-    }
-    return sampled_stays_within(&self->laws, &self->fmu->state.switching, &(Point){a->t, x, z, u},
-                                b->t - a->t, (const Sample *)samples, self->off, a->inside,
-                                b->inside);
+    for (int k = 0; k < NODES; k++)
+        motion->at(motion->solver, node_between(a->t, b->t, k), samples[k], z, samples[k] + NX);
+    const Point at = {a->t, samples[0], z, samples[0] + NX};
+    return sampled_stays_within(&self->laws, &self->fmu->state.switching, &at, b->t - a->t,
+                                (const Sample *)samples, self->off, a->inside, b->inside);
 }
 
 /* Boundaries that an event has displaced are where they were as soon as a step ends within them. */

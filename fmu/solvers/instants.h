@@ -46,12 +46,16 @@ typedef struct {
     long long iw[WORK_IW + 1];
 } Kernel;
 
+static inline Switching *switching_of(const Call *call) {
+    return (Switching *)(void *)call->switching;
+}
+
 static inline void open_kernel(Kernel *self, const Call *call) {
     self->owner = (LawOwner){call->c,  call->sizes, call->slopes, self->arg, self->res,
                              self->iw, call->w,     NULL,         NULL,      NULL};
     self->laws = laws_of_model(&self->owner);
     self->at = (Point){call->t, call->x, call->z, call->u};
-    self->switching = (Switching *)(void *)call->switching;
+    self->switching = switching_of(call);
 }
 
 static inline void tell(Call *call, const Ending *found) {
@@ -113,9 +117,7 @@ SHARED void cosim_plan(Call *call, double end) {
 
 /* The next of them. */
 SHARED double cosim_due(const Call *call, double end) {
-    Kernel self;
-    open_kernel(&self, call);
-    return next_until(self.switching, end);
+    return next_until(switching_of(call), end);
 }
 
 /* Margins and their rates of n rows of arguments, their rates, and modes. */
@@ -135,14 +137,12 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
 /* The relation that leaves its mode at each of n rows, or -1. */
 SHARED void cosim_leaving(Call *call, long long n, const double *times, const double *inside,
                           const double *towards, double *found) {
-    Kernel self;
     Place place;
-    open_kernel(&self, call);
     for (long long k = 0; k < n; k++) {
         place.t = times[k];
         memcpy(place.inside, inside + k * MODES, MODES * sizeof *inside);
         memcpy(place.rates, towards + k * MODES, MODES * sizeof *towards);
-        found[k] = leaving_at(self.switching, &place);
+        found[k] = leaving_at(switching_of(call), &place);
     }
 }
 
@@ -267,9 +267,7 @@ SHARED void cosim_note_least(Call *call) {
 
 /* A solver that knows no events has taken some steps up to a time. */
 SHARED void cosim_note_steps(Call *call, double t, double steps) {
-    Kernel self;
-    open_kernel(&self, call);
-    note_steps(self.switching, t, steps * LOCATED / DBL_EPSILON);
+    note_steps(switching_of(call), t, steps * LOCATED / DBL_EPSILON);
 }
 
 /* Boundaries that an event has displaced are back where arguments have been inside since. */

@@ -112,17 +112,16 @@ static inline void look_within(void *accepted, double t, Place *found) {
 static inline bool stays(void *accepted, const Place *a, const Place *b) {
     const Step *self = accepted;
     const Watch *watch = self->watch;
-    double x[NX], dx[NX], slopes[NU + 1];
+    double dx[NX], slopes[NU + 1], *z = watch->problem->z, *u = watch->problem->u;
     Sample samples[NODES];
     if (ENCLOSED == 0 || self->proven) return true;
-    for (int k = NODES - 1; k >= 0; --k) {
-        const Point at = {node_between(a->t, b->t, k), x, watch->problem->z, watch->problem->u};
-        if (self->within(self->motion, at.t, x, dx) ||
+    for (int k = 0; k < NODES; ++k) {
+        const Point at = {node_between(a->t, b->t, k), samples[k], z, u};
+        if (self->within(self->motion, at.t, samples[k], dx) ||
             !law_inputs(&watch->owner, &at, samples[k] + NX, slopes))
             return true;
-        memcpy(samples[k], x, sizeof x);
     }
-    const Point from = {a->t, x, watch->problem->z, watch->problem->u};
+    const Point from = {a->t, samples[0], z, u};
     return sampled_stays_within(&watch->laws, watch->switching, &from, b->t - a->t,
                                 (const Sample *)samples, self->off, a->inside, b->inside);
 }

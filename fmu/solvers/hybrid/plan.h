@@ -24,9 +24,7 @@ static inline double linear_root(double mode, bool floor, double value, double r
 }
 
 static inline bool is_outside(const Laws *laws, const Point *at, int i, double t) {
-    double arguments[MODES + 1], rates[MODES + 1];
-    const bool valued = laws->timed(laws->owner, at, t, arguments, rates);
-    return valued && is_beyond(laws->relations[i].floor, modes_of(at)[i], arguments[i]);
+    return is_beyond(laws->relations[i].floor, modes_of(at)[i], timed_argument(laws, at, i, t));
 }
 
 static inline double searched_root(const Laws *laws, const Point *at, int i, double now,

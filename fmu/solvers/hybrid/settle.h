@@ -121,11 +121,6 @@ static inline double mode_by_value(bool floor_, double value) {
     return floor_ ? floor(value) : value >= 0 ? 1 : -1;
 }
 
-static inline double timed_argument(const Laws *laws, const Point *at, int i, double t) {
-    double arguments[MODES + 1], rates[MODES + 1];
-    return laws->timed(laws->owner, at, t, arguments, rates) ? arguments[i] : NAN;
-}
-
 /* The mode of an argument that is not 0. One of time alone may be due a little later; at a start,
  * what only rounding is before happens. */
 static inline double apart(const Laws *laws, const Switching *s, const Point *at, const Seen *seen,

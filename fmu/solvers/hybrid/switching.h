@@ -110,6 +110,12 @@ static inline bool is_beyond(bool floor, double mode, double value) {
     return floor ? value < mode || value >= mode + 1 : mode * value < 0;
 }
 
+/* The argument of a relation of time alone at a time. */
+static inline double timed_argument(const Laws *laws, const Point *at, int i, double t) {
+    double arguments[MODES + 1], rates[MODES + 1];
+    return laws->timed(laws->owner, at, t, arguments, rates) ? arguments[i] : NAN;
+}
+
 /* The value of an argument in excess of what was 0 at the last event; a floor has other boundaries,
  * which are where they are. */
 static inline double past_boundary(const Laws *laws, const Switching *s, const Seen *seen, int i) {
