@@ -7,6 +7,7 @@ from helpers import event_models
 from helpers.event_models import simulate
 
 from casadi_models.dae import Model
+from cosim.integrate.kernel import Kernel
 
 
 @pytest.mark.quick_rows("rk4")
@@ -120,3 +121,17 @@ def test_a_relation_that_rests_does_not_share_the_events_of_others(solver):
     model.derivative(falling, -1 - ca.fmax(falling, 0))
     (event,) = simulate(model.freeze(), solver, record_events=True).events
     assert event.name == "fmax of (-b)"
+
+
+def test_the_time_of_the_last_event_tells_how_far_a_run_is(monkeypatch):
+    seen, happen = [], Kernel.happen
+
+    def noted(self, at, *more):
+        found = happen(self, at, *more)
+        seen.append((at.t, self.switching.last_event))
+        return found
+
+    monkeypatch.setattr(Kernel, "happen", noted)
+    run = simulate(event_models.ball(), "cvodes", start_time=0.5, stop_time=2.0)
+    told = [t for now, t in seen if t == now]  # before: 0.5 s, always
+    np.testing.assert_array_equal(told, [event.time for event in run.events])

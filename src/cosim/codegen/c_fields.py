@@ -10,12 +10,12 @@ from cosim.codegen.c_sources import source_text
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _FUNCTION = re.compile(r"\((\*\w+)\)\([^;]*\)")  # a pointer to one
 _DECLARATION = re.compile(r"(?:(?:const|volatile) )*(long long|\w+)\s+([^;]+);")
-_NAME = re.compile(r"(\**)(\w+)(?:\[(\d+)\])?")
+_NAME = re.compile(r"(\**)(\w+)(?:\[([^\]]+)\])?")
 _TYPES = {"long long": ctypes.c_longlong, "double": ctypes.c_double, "char*": ctypes.c_char_p}
 
 
 def fields(header: str, name: str, **types: Any) -> Sequence[tuple[str, Any]]:
-    """Return the fields of a structure, for `ctypes.Structure`.
+    """Return the fields of a structure, for `ctypes.Structure`; arrays of sizes by macros as one.
 
     Args:
         header: File in the package's folder of C code, e.g. "master/run.h".
@@ -30,5 +30,5 @@ def fields(header: str, name: str, **types: Any) -> Sequence[tuple[str, Any]]:
         for star, field, size in _NAME.findall(names):
             usual = ctypes.c_void_p if star else None
             own: Any = types.get(field, _TYPES.get(kind + star, usual))
-            found.append((field, own * int(size) if size else own))
+            found.append((field, own * int(size) if size.isdigit() else own))
     return found

@@ -120,6 +120,7 @@ class Rows(NamedTuple):
         return cls(*(np.ascontiguousarray(column, dtype=float) for column in columns))
 
 
+_LEFT = [name for name, _ in fields("solvers/hybrid/switching.h", "Switching")]
 Listener = Callable[[Vector, Vector, Vector, list[int]], None]  # x, z, u before; events of a round
 FreshRun = Callable[[float], tuple[Vector, Vector]]  # margins and their rates at a time, (m,)
 
@@ -136,23 +137,23 @@ class Switching:
     numbers: Vector
     modes: int
 
-    def _row(self, i: int) -> Vector:
-        return self.numbers[i * (self.modes + 1) :][: self.modes]
+    def _row(self, name: str) -> Vector:
+        return self.numbers[_LEFT.index(name) * (self.modes + 1) :][: self.modes]
 
     @property
     def states(self) -> Vector:
         """A `State` of each relation, (m,)."""
-        return self._row(0)
+        return self._row("state")
 
     @property
     def slack(self) -> Vector:
         """By how much rounding moves each argument, (m,)."""
-        return self._row(4)
+        return self._row("slack")
 
     @property
     def last_event(self) -> float:
         """Time of the last event, s."""
-        return float(self.numbers[-7])
+        return float(self.numbers[_LEFT.index("last") - len(_LEFT)])
 
     @property
     def sliding(self) -> frozenset[int]:
