@@ -199,13 +199,9 @@ static void note_leaving(Instance *self, double time, double leaving[]) {
     }
 }
 #else
-static inline void find_leaving(Instance *self, const Motion *motion, double begin, double end,
-                                double leaving[]) {
-    (void)self, (void)motion, (void)begin, (void)end, (void)leaving;
-}
-static inline void note_leaving(Instance *self, double time, double leaving[]) {
-    (void)self, (void)time, (void)leaving;
-}
+#define find_leaving(self, motion, begin, end, leaving)                                            \
+    ((void)(self), (void)(motion), (void)(begin), (void)(end), (void)(leaving))
+#define note_leaving(self, time, leaving) ((void)(self), (void)(time), (void)(leaving))
 #endif
 
 #endif

@@ -186,8 +186,7 @@ static int refill(Lanes *self, const Batch *batch) {
         if (!some) return running;
         const V *in[] = {self->p};
         V *out[] = {self->c};
-        model.constants(in,
-                        out); /* the other lanes' stay as they are: the same numbers once more */
+        model.constants(in, out); /* those of other lanes stay: the same numbers once more */
         if (NL > 0) look_at_start(self, fresh);
         slopes(self, self->t, self->x, self->sum);
         const M good = is_finite(self->sum) & is_finite(self->x);

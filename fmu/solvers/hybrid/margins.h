@@ -75,10 +75,7 @@ static inline Place bottom(LookAt *look, void *motion, int i, Place a, Place b) 
         if (!(middle > a.t && middle < b.t)) break;
         look(motion, middle, &place);
         if (place.inside[i] < 0) return place;
-        if (place.rates[i] < 0)
-            a = place;
-        else
-            b = place;
+        *(place.rates[i] < 0 ? &a : &b) = place;
     }
     return b;
 }
