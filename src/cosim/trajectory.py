@@ -74,6 +74,8 @@ class Trajectory:
         numbers: Parameters and constant inputs of the run, SI; None if not known.
         again: Computes the run at other times within its span; None if it cannot be computed again.
         events: What happened at instants, in order.
+        changes: Returns between which times variables may change within a part of a step, s; None
+            if nothing tells it.
 
     Raises:
         UsageError: The shapes do not fit, or a variable occurs twice.
@@ -99,6 +101,7 @@ class Trajectory:
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
     numbers: Mapping[str, float] | None = field(default=None, repr=False)
     events: tuple[Event, ...] = field(default=(), repr=False)
+    changes: Callable[[], Vector] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "values"):
@@ -278,6 +281,7 @@ class Trajectory:
             float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
             np.array([column.nominal for column in self.columns]),
             [event.time for event in self.events],
+            None if self.changes is None else [self.changes()],
         )
         return found[0]
 
@@ -352,7 +356,8 @@ class Trajectory:
 
     def __getstate__(self) -> dict[str, Any]:
         # a pickled result does not contain its model
-        return {n: v for n, v in self.__dict__.items() if n != "curves"} | {"again": None}
+        own = {n: v for n, v in self.__dict__.items() if n != "curves"}
+        return own | {"again": None, "changes": None}
 
     @property
     def structured(self) -> NDArray[Any]:

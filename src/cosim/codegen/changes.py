@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.arrays import Vector
+from cosim.series.curves import graded
 
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
 _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
 _SAMPLES = 64  # of a cell, without bounds
-_GRADE = 4  # length of a part, in that of a neighbor
 _ROUNDINGS = 64  # within which edges are one
 _PARTS = 8  # of the range of a term and of the time of a pulse, at whose ends a step ends
 _ENDS = 1e-5  # change before and after a pulse, as a share of the range
@@ -175,8 +175,6 @@ def apart(parts: list[tuple[float, float]]) -> list[Vector]:
 def with_surroundings(edges: Vector, count: int) -> Vector:
     """Return places: in each part between edges, and as far before and after as all are long.
 
-    Parts are halved that are much longer than their neighbors, by whose ends they may change.
-
     Args:
         edges: Ascending, (n,).
         count: Equal intervals in each part.
@@ -184,14 +182,8 @@ def with_surroundings(edges: Vector, count: int) -> Vector:
     length = edges[-1] - edges[0]
     every = np.concatenate(([edges[0] - length], edges, [edges[-1] + length]))
     every = every[np.append(True, np.diff(every) > _ROUNDINGS * np.spacing(np.abs(every[1:])))]
-    while True:
-        gaps = np.diff(every)
-        around = np.concatenate(([np.inf], gaps, [np.inf]))
-        long = gaps > _GRADE * np.minimum(around[:-2], around[2:])
-        if not long.any():
-            break
-        every = np.union1d(every, (every[:-1] + every[1:])[long] / 2)
-    inner = every[:-1, None] + gaps[:, None] * np.arange(count) / count
+    every = graded(every)
+    inner = every[:-1, None] + np.diff(every)[:, None] * np.arange(count) / count
     return np.append(inner, every[-1])
 
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import RELATIONS, operations
 from casadi_models.dae.single_terms import single_terms
 from cosim.arrays import Vector
 from cosim.codegen.changes import apart, bent_parts, parted, with_surroundings
@@ -37,6 +39,7 @@ _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
+_LOOKS = 2  # for places: with rows in those of the first, the second tells them exactly
 _MOST_ENDS = 1_000  # of steps in a place
 
 
@@ -147,6 +150,62 @@ def with_conditions(dae: Dae) -> Dae:
     """Return the frozen equations of a model, with the conditions of its events as limits."""
     system = hybrid(dae)
     return dae if system is None else system.with_conditions()
+
+
+@cached_per_thread(16)
+def with_switching(dae: Dae, names: tuple[str, ...]) -> Dae:
+    """Return a model in which the relations of some outputs are events, if they can be."""
+    outputs = zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
+    own = {v.name for v, y in outputs if v.name in names and operations(y) & RELATIONS}
+    if own <= {*dae.driving}:
+        return dae
+    switching = replace(dae, driving=tuple(sorted({*dae.driving, *own})))
+    try:
+        hybrid(switching)
+    except ValueError:  # of functions that are called
+        return dae
+    return switching
+
+
+@cached_per_thread(16)
+def _with_outputs(dae: Dae, names: tuple[str, ...]) -> tuple[Dae, list[int]]:
+    """Return `with_conditions` with some outputs as limits, and the modes of outputs alone."""
+    system, dae = hybrid(dae), with_conditions(dae)
+    outputs = zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
+    own = ((value, v.name) for v, value in outputs if v.name in names)
+    alone = list[int]()
+    if system is not None:
+        laws = ca.vertcat(dae.ode, dae.alg, *system.rules)
+        modes = enumerate(ca.vertsplit(system.modes))
+        alone = [i for i, mode in modes if not ca.depends_on(laws, mode)]
+    return replace(dae, limits=(*dae.limits, *own)), alone
+
+
+def changes_of(
+    dae: Dae, names: tuple[str, ...], motion: Motion, again: Callable[[Vector], Motion]
+) -> Vector:
+    """Return between which times quantities may change within a part of an average step, s.
+
+    Args:
+        dae: The model; see `with_switching`.
+        names: Of the quantities; those that are no outputs change where the equations do.
+        motion: The motion.
+        again: Returns it with further rows.
+    """
+    (watched, alone), grid, steps = _with_outputs(dae, names), motion.time, _counted(motion)
+    if len(grid) < 2:
+        return np.empty(0)
+    sides = ((pair[0].t, pair[0].modes != pair[1].modes) for pair in motion.instants)
+    edges = [np.array([t for t, switched in sides if switched[alone].any()], dtype=float)]
+    rows, looks = rows_between(motion, grid), _LOOKS if _has_terms(watched) else 0
+    for _ in range(looks):
+        motion = again(rows) if len(rows) else motion
+        places = _found(watched, motion, steps)
+        edges[1:] = [place.edges for place in places]
+        if not places:
+            break
+        rows = _inside(grid, [rows, *(place.times for place in places)])
+    return _inside(grid, edges)
 
 
 def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -29,7 +29,12 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, all_columns, observe
-from cosim.integrate.passed_over import finer_than_steps, rows_between
+from cosim.integrate.passed_over import (
+    changes_of,
+    finer_than_steps,
+    rows_between,
+    with_switching,
+)
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solvers import SOLVERS, with_largest_step
 from cosim.integrate.validity import (
@@ -261,7 +266,20 @@ def repeatable(
         simulate: Computes the run of a request.
     """
     ends = float(prepared.problem.grid[-1]), float(found.time[-1])
-    return replace(found, again=partial(run_at, simulate, request, ends))
+    again = partial(run_at, simulate, request, ends)
+    return replace(found, again=again, changes=partial(changes_in, request))
+
+
+def changes_in(request: RunRequest) -> Vector:
+    """Return between which times recorded variables may change within a part of a step, s."""
+    prepared = prepare(request)
+    names = tuple(column.name for column in prepared.columns)
+    dae = with_switching(prepared.problem.dae, names)
+    prepared = replace(prepared, problem=replace(prepared.problem, dae=dae))
+    motion, _, again = _integrated(prepared, request.numbers)
+    if motion.reason == INTERRUPTED:
+        raise KeyboardInterrupt
+    return changes_of(dae, names, motion, again)
 
 
 def run_at(

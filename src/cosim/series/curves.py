@@ -18,6 +18,7 @@ _LEVELS = 10  # of refinement; each one computes the motion once
 _PARTS = 4  # of a panel that is refined
 _PER_STEP = 2  # nodes in a mean step of the solver
 _MOST = 20_000  # panels of a run
+_GRADE = 4  # length of a part, in that of a neighbor
 _SLACK = 100.0  # errors of steps add up to about this many tolerances over a run
 
 _AT = np.cos(np.pi * (np.arange(_NODES)[::-1] + 0.5) / _NODES)  # never an end: no event is there
@@ -169,6 +170,7 @@ def curves(
     accuracy: float,
     sizes: Vector,
     breaks: Iterable[float] = (),
+    changes: Sequence[Vector] | None = None,
 ) -> list[Curves]:
     """Return motions as polynomials, each refined by itself until these fit it.
 
@@ -183,16 +185,20 @@ def curves(
         accuracy: Relative tolerance of the solver (1).
         sizes: Nominal values of the curves, (curves,).
         breaks: Times of events, where values and slopes may jump, s.
+        changes: Times of each motion, s, between which it may change within a part of a mean step.
     """
     begin, end = float(rows[0].time[0]), float(rows[0].time[-1])
-    shortest = 1e4 * np.spacing(max(abs(begin), abs(end)))  # else its nodes are the same numbers
+    shortest = 1e3 * np.spacing(max(abs(begin), abs(end)))  # else its nodes are the same numbers
     widths = [_NODES * (end - begin) / (_PER_STEP * max(count, 1)) for count in steps]
-    first = _first_panels(begin, end, breaks, len(rows[0].time))
+    even = _first_edges(begin, end, breaks, len(rows[0].time))
+    edges = [_with_changes(even, own, shortest) for own in changes or [np.empty(0)] * len(rows)]
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
     leaves = [list[tuple[float, float, Vector, Truths]]() for _ in rows]
-    first = [panel for panel in first if _width(panel) > shortest]
-    waiting = dict.fromkeys(range(len(rows)), first)
+    waiting = {
+        run: [panel for panel in pairwise(own.tolist()) if _width(panel) > shortest]
+        for run, own in enumerate(edges)
+    }
     largest = [_largest(own.values) for own in rows]
     for level in range(_LEVELS + 1):
         panels = sorted({panel for own in waiting.values() for panel in own})
@@ -230,17 +236,35 @@ def curves(
     ]
 
 
-def _first_panels(
-    begin: float, end: float, breaks: Iterable[float], count: int
-) -> list[tuple[float, float]]:
-    """Return panels between breaks with about as many nodes as there are output times."""
+def _first_edges(begin: float, end: float, breaks: Iterable[float], count: int) -> Vector:
+    """Return edges of panels between breaks with about as many nodes as there are output times."""
     edges = [begin, *sorted({time for time in breaks if begin < time < end}), end]
-    panels = list[tuple[float, float]]()
+    found = [np.array([begin])]
     for a, b in pairwise(edges):
         parts = int(np.ceil(count / _NODES * (b - a) / (end - begin))) if b > a else 1
-        inner = np.linspace(a, b, max(1, parts) + 1).tolist()
-        panels += pairwise(inner)
-    return panels
+        found.append(np.linspace(a, b, max(1, parts) + 1)[1:])
+    return np.concatenate(found)
+
+
+def _with_changes(edges: Vector, changes: Vector, shortest: float) -> Vector:
+    """Return edges of panels with times of changes, and with panels that grow beside these."""
+    if not len(changes):
+        return edges
+    own = changes[np.diff(changes, prepend=-np.inf) > shortest]
+    after = edges.searchsorted(own).clip(1, len(edges) - 1)
+    own = own[(own - edges[after - 1] > shortest) & (edges[after] - own > shortest)]
+    return graded(np.union1d(edges, own))
+
+
+def graded(edges: Vector) -> Vector:
+    """Return ascending edges; parts are halved that are much longer than a neighbor."""
+    while True:
+        gaps = np.diff(edges)
+        around = np.concatenate(([np.inf], gaps, [np.inf]))
+        long = gaps > _GRADE * np.minimum(around[:-2], around[2:])
+        if not long.any():
+            return edges
+        edges = np.union1d(edges, (edges[:-1] + edges[1:])[long] / 2)
 
 
 def _width(panel: tuple[float, float]) -> float:

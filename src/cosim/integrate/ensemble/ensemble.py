@@ -126,6 +126,8 @@ class Ensemble:
         with_events: Runs with events, by position, with these and the row of one that ended them.
         again: Computes runs without events, given by their positions, at other times: values,
             (positions, times, columns); None if they cannot be computed again.
+        changes: Returns between which times variables of a run without events, given by its
+            position, may change within a part of a step, s; None if nothing tells it.
 
     Example:
         >>> import cosim
@@ -153,6 +155,7 @@ class Ensemble:
     notes: Mapping[int, str] = field(default_factory=dict)
     with_events: Mapping[int, Trajectory] = field(default_factory=dict, repr=False)
     again: Callable[[Vector, Integers], Vector] | None = field(default=None, repr=False)
+    changes: Callable[[int], Vector] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -270,14 +273,18 @@ class Ensemble:
             return
         nodes = 4 * max(len(self.time), 4 * int(self.steps.max(initial=0)))
         size = max(1, _NUMBERS // (nodes * len(self.columns) + 1))
-        for first in range(0, len(plain), size):
-            some = plain[first : first + size]
+        none = np.empty(0)
+        edges = {i: none if self.changes is None else self.changes(i) for i in plain.tolist()}
+        calm = np.array([i for i, own in edges.items() if not len(own)], dtype=np.int64)
+        groups = [calm[first : first + size] for first in range(0, len(calm), size)]
+        for some in [*groups, *np.setdiff1d(plain, calm)[:, None]]:
             found = curves(
                 partial(lambda some, times, runs: again(times, some[runs]), some),
                 [Rows(self.time, self.values[i]) for i in some],
                 [int(self.steps[i]) for i in some],
                 float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
                 np.array([column.nominal for column in self.columns]),
+                changes=[edges[i] for i in some.tolist()],
             )
             yield from zip(some.tolist(), found, strict=True)
 

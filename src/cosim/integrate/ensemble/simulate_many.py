@@ -32,7 +32,7 @@ from cosim.integrate.growth import may_grow_again
 from cosim.integrate.keywords import SharedKeywords, reject_driven, requested
 from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
-from cosim.integrate.run import run
+from cosim.integrate.run import changes_in, run
 from cosim.integrate.solvers import chosen_solver, with_largest_step
 from cosim.model.many_values import ManyValues, assign_many
 from cosim.model.request import OnInvalid, RunRequest
@@ -117,10 +117,14 @@ def simulate_many(
         chosen = chosen if blocks is None else blocks.solver
         found = _one_by_one(request, values, chosen, blocks)
     stats = {"solver": chosen.name, **chosen.numbers, **found.stats}
-    again = partial(values_at, request, values.given, lanes) if chosen.adaptive else None
+    again = changes = None
+    if chosen.adaptive:
+        again = partial(values_at, request, values.given, lanes)
+        changes = partial(_changes_in_run, replace(request, solver=chosen), values.given)
     ensemble = replace(
         found,
         again=again,
+        changes=changes,
         stats=stats | {"wall_time": perf_counter() - began},
         drawing=request.dae.drawing,
         numbers=numbers_of(request.dae, assign(request.dae)),
@@ -158,6 +162,12 @@ def values_at(
     policy = replace(request.policy, on_invalid=OnInvalid.IGNORE)
     asked = replace(request, times=own, policy=policy, values={})
     return simulate_many(asked, {n: rows[runs] for n, rows in given.items()}, lanes=lanes).values
+
+
+def _changes_in_run(request: RunRequest, given: Mapping[str, Vector], run: int) -> Vector:
+    """Return between which times recorded variables of a variant may change; see `changes_in`."""
+    own = {name: float(rows[run]) for name, rows in given.items()}
+    return changes_in(replace(request, values=own))
 
 
 def runs_in_lanes(request: RunRequest) -> bool:
