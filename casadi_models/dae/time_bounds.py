@@ -7,6 +7,8 @@ Source  Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from math import comb, prod
 from typing import NamedTuple
 
 import casadi as ca
@@ -17,14 +19,23 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
+_MOST_DEGREE = 6  # of a polynomial
+
+
+# Coefficients by what moves each product, in shares of its span: {(0, 0): c} is c (share of 0)^2
+_Polynomial = dict[tuple[int, ...], SX]
 
 
 class _Span(NamedTuple):
-    """Least and greatest value of an expression; both are the value of one that stays."""
+    """Least and greatest value of an expression; both are the value of one that stays.
+
+    `terms` is the expression as a polynomial, if it is known to be one.
+    """
 
     low: SX
     high: SX
     stays: bool
+    terms: _Polynomial | None = None
 
 
 class TimeBounds(NamedTuple):
@@ -160,7 +171,7 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
     rows = ca.densify(ca.vertcat(second, value))
-    spans = _spans(rows, [moving, *others], _from_here(length))
+    spans = _spans(rows, [moving, *others], _in_shares(_from_here(length)))
     if not spans:
         return None
     bend, own = spans
@@ -178,7 +189,8 @@ def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX
         p: Symbols that stay.
     """
     low, high = map(ca.vertsplit, ends)
-    spans = _spans(value, [moving, p], lambda row, _: _Span(low[row], high[row], stays=False))
+    span = _in_shares(lambda row, _: _Span(low[row], high[row], stays=False))
+    spans = _spans(value, [moving, p], span)
     return (spans[0].low, spans[0].high) if spans else None
 
 
@@ -196,13 +208,64 @@ def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]
             raise _UnknownError
         if all(operand.stays for operand in operands):
             return _constant(applied(code, [operand.low for operand in operands]))
-        return _result(code, operands)
+        terms = _polynomial(code, operands)
+        if terms is None:
+            return _result(code, [_within_terms(operand) for operand in operands])
+        return _result(code, operands)._replace(terms=terms)
 
     try:
         (spans,) = replayed(function, symbol, _constant, operation)
     except _UnknownError:
         return []
-    return spans
+    return [_within_terms(span) for span in spans]
+
+
+def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
+    """Return the result of an operation as a polynomial; None if it is none of a low degree."""
+    a, b = operands[0].terms, operands[-1].terms
+    if a is None or b is None:
+        return None
+    if code == ca.OP_DIV and operands[-1].stays:
+        return _times(a, {(): 1 / b[()]})
+    factors = {
+        ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)
+    }  # fmt: skip
+    if code in factors:
+        one, other = factors[code]
+        return {key: one * a.get(key, 0) + other * b.get(key, 0) for key in a | b}
+    return _times(a, b) if code in (ca.OP_MUL, ca.OP_SQ) else None
+
+
+def _times(a: _Polynomial, b: _Polynomial) -> _Polynomial | None:
+    found: _Polynomial = {}
+    for (one, x), (other, y) in product(a.items(), b.items()):
+        key = tuple(sorted(one + other))
+        found[key] = found.get(key, 0) + x * y
+    return found if max(map(len, found)) <= _MOST_DEGREE else None
+
+
+def _within_terms(span: _Span) -> _Span:
+    """Return the span of a polynomial between its Bernstein coefficients; others as they are."""
+    terms = span.terms
+    if terms is None or max(map(len, terms)) < 2:
+        return span
+    degrees = {row: max(key.count(row) for key in terms) for key in terms for row in key}
+    every = list[SX]()
+    for place in product(*(range(degree + 1) for degree in degrees.values())):
+        shares = [
+            coefficient
+            * prod(
+                comb(i, key.count(row)) / comb(n, key.count(row))
+                for i, (row, n) in zip(place, degrees.items(), strict=True)
+            )
+            for key, coefficient in terms.items()
+        ]
+        every.append(ca.sum1(ca.vertcat(*shares)))
+    known = ca.vertcat(*every)
+    is_finite = ca.fabs(ca.sum1(known)) < SX.inf()  # fmin and fmax pass over NaN
+    low, high = ca.fmax(span.low, ca.mmin(known)), ca.fmin(span.high, ca.mmax(known))
+    ends = ca.if_else(is_finite, low, span.low), ca.if_else(is_finite, high, span.high)
+    return _Span(*ends, False)
 
 
 def _from_here(length: SX) -> Callable[[int, SX], _Span]:
@@ -210,8 +273,18 @@ def _from_here(length: SX) -> Callable[[int, SX], _Span]:
     return lambda _, value: _Span(value, value + length, stays=False)
 
 
+def _in_shares(moving: Callable[[int, SX], _Span]) -> Callable[[int, SX], _Span]:
+    """Return the spans of symbols as polynomials, so that their products are no wider."""
+
+    def span(row: int, value: SX) -> _Span:
+        own = moving(row, value)
+        return own._replace(terms={(): own.low, (row,): own.high - own.low})
+
+    return span
+
+
 def _constant(value: SX) -> _Span:
-    return _Span(value, value, True)
+    return _Span(value, value, True, {(): value})
 
 
 def _result(code: int, operands: Sequence[_Span]) -> _Span:
