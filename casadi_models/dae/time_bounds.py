@@ -19,7 +19,7 @@ from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
-_MOST_DEGREE = 6  # of a polynomial
+_MOST_DEGREE = 4  # of a polynomial
 
 
 # Coefficients by what moves each product, in shares of its span: {(0, 0): c} is c (share of 0)^2
@@ -171,12 +171,13 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
     rows = ca.densify(ca.vertcat(second, value))
-    spans = _spans(rows, [moving, *others], _in_shares(_from_here(length)))
+    own = [moving, *others]
+    spans = _spans(rows, own, lambda row, value: _moving(row, value, value + length))
     if not spans:
         return None
-    bend, own = spans
+    bend, around = spans
     most = ca.fmax(ca.fabs(bend.low), ca.fabs(bend.high))
-    return most * length**2 / 8, own.high - own.low
+    return most * length**2 / 8, around.high - around.low
 
 
 def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX, SX] | None:
@@ -189,8 +190,7 @@ def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX
         p: Symbols that stay.
     """
     low, high = map(ca.vertsplit, ends)
-    span = _in_shares(lambda row, _: _Span(low[row], high[row], stays=False))
-    spans = _spans(value, [moving, p], span)
+    spans = _spans(value, [moving, p], lambda row, _: _moving(row, low[row], high[row]))
     return (spans[0].low, spans[0].high) if spans else None
 
 
@@ -273,14 +273,9 @@ def _from_here(length: SX) -> Callable[[int, SX], _Span]:
     return lambda _, value: _Span(value, value + length, stays=False)
 
 
-def _in_shares(moving: Callable[[int, SX], _Span]) -> Callable[[int, SX], _Span]:
-    """Return the spans of symbols as polynomials, so that their products are no wider."""
-
-    def span(row: int, value: SX) -> _Span:
-        own = moving(row, value)
-        return own._replace(terms={(): own.low, (row,): own.high - own.low})
-
-    return span
+def _moving(row: int, low: SX, high: SX) -> _Span:
+    """Return the span of a symbol as a polynomial, so that its products are no wider."""
+    return _Span(low, high, False, {(): low, (row,): high - low})
 
 
 def _constant(value: SX) -> _Span:

@@ -56,6 +56,33 @@ def test_a_bump_of_a_table_is_not_passed_over(kind):
     assert abs(run["x_2"][-1] / right - 1) < 1e-2  # its width of 0.1 m; measured below
 
 
+EXPANDED = {  # forms of -c**2, where c = (s - PLACE) / 1e-3, and its area in widths
+    "square": (lambda s: -(s * s - 2 * PLACE * s + PLACE**2) / 1e-6, np.sqrt(np.pi)),
+    "nested": (lambda s: -(s * (s - 2 * PLACE) + PLACE**2) / 1e-6, np.sqrt(np.pi)),
+    "squared": (lambda s: -(((s * s - 2 * PLACE * s + PLACE**2) / 1e-6) ** 2), 1.8128049541),
+}
+
+
+@pytest.mark.slow_rows("cvodes")
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+@pytest.mark.parametrize("form", EXPANDED)
+def test_a_bump_of_a_polynomial_that_is_multiplied_out_is_not_passed_over(form, solver):
+    exponent, area = EXPANDED[form]
+    dae = on_road(lambda s: HEIGHT * ca.exp(exponent(s)), output_interval=0.5)
+    run = cosim.simulate(dae, solver=solver)
+    right = after_an_impulse(HEIGHT * 1e-3 * area)
+    assert abs(run["x_2"][-1] / right - 1) < 1e-3  # measured 2e-6; before: 1
+
+
+def test_far_bumps_of_multiplied_out_polynomials_add():
+    s, h = SX.sym("s"), SX.sym("h")
+    bumps = (ca.exp(-(s * s - 2 * a * s + a * a) / 900) for a in (1e6, 1.5e6))
+    laws = {"x": ca.vertcat(s, h), "ode": ca.vertcat(1e5, 1e3 * sum(bumps))}
+    run = cosim.simulate(cosim.from_casadi(laws, stop_time=30, output_interval=3), solver="dop853")
+    right = 2 * 30 * np.sqrt(np.pi) / 1e2
+    assert run["h"][-1] == pytest.approx(right, rel=1e-5)  # measured 5e-7; before: 0
+
+
 @pytest.mark.parametrize("shape", ["logistic", "cosh"])
 def test_a_bump_whose_bounds_overflow_is_not_passed_over(shape):
     def road(s):

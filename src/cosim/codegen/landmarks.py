@@ -318,6 +318,8 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     if found and not any(ca.which_depends(found[0].term.variable, moving, 2, False)):
         return found
+    if not found and (peak := _around_peak(dae, several, p)):
+        return peak
     terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
@@ -354,6 +356,34 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     seen = np.array(value(corners, p)).ravel()
     is_slope = np.abs(np.diff(seen.reshape(2, -1), axis=0)) >= _SEEN * size
     return [] if is_slope.any() else None
+
+
+def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
+    """Return where an exp of a quadratic with a peak may move; none for other terms.
+
+    Parameters may move the peak, and change its widths.
+    """
+    if several.value.op() != ca.OP_EXP:
+        return []
+    moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
+    places = sorted({mover for term in several.each for mover in term.movers})
+    movers = moving[places]
+    bend, slope = ca.hessian(several.value.dep(0), movers)
+    if ca.depends_on(bend, moving):
+        return []
+    known = np.array(ca.Function("bend", [dae.p], [ca.densify(bend)])(p))
+    if not np.isfinite(known).all() or not (np.linalg.eigvalsh(known) < 0).all():
+        return []
+    inverse = ca.inv(ca.densify(bend))
+    middle = -inverse @ ca.substitute(slope, movers, SX.zeros(len(places)))
+    reach = ca.sqrt(2 * np.log(FLAT) * ca.diag(inverse))
+    shares, symbol = (movers - middle) / reach, SX.sym("share")
+    terms = (
+        InnerTerm((mover,), share, symbol, several.value, (), ())
+        for mover, share in zip(places, ca.vertsplit(shares), strict=True)
+    )
+    lattice = np.linspace(-1, 1, _ACROSS)
+    return [_Change(term, lattice, is_step=False) for term in terms]
 
 
 def _last_flat(rests: Callable[[Vector], Truths], begins: Vector) -> Vector:

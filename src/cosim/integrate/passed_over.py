@@ -181,6 +181,12 @@ def _with_outputs(dae: Dae, names: tuple[str, ...]) -> tuple[Dae, list[int]]:
     return replace(dae, limits=(*dae.limits, *own)), alone
 
 
+def may_change(dae: Dae, names: tuple[str, ...]) -> bool:
+    """Return whether outputs, or the equations, have terms or relations of `changes_of`."""
+    watched, alone = _with_outputs(dae, names)
+    return bool(alone) or _has_terms(watched)
+
+
 def changes_of(
     dae: Dae, names: tuple[str, ...], motion: Motion, again: Callable[[Vector], Motion]
 ) -> Vector:
@@ -196,16 +202,15 @@ def changes_of(
     if len(grid) < 2:
         return np.empty(0)
     sides = ((pair[0].t, pair[0].modes != pair[1].modes) for pair in motion.instants)
-    edges = [np.array([t for t, switched in sides if switched[alone].any()], dtype=float)]
-    rows, looks = rows_between(motion, grid), _LOOKS if _has_terms(watched) else 0
-    for _ in range(looks):
+    switches = [np.array([t for t, switched in sides if switched[alone].any()], dtype=float)]
+    rows, places = rows_between(motion, grid), list[Place]()
+    for _ in range(_LOOKS):
         motion = again(rows) if len(rows) else motion
         places = _found(watched, motion, steps)
-        edges[1:] = [place.edges for place in places]
         if not places:
             break
         rows = _inside(grid, [rows, *(place.times for place in places)])
-    return _inside(grid, edges)
+    return _inside(grid, [*switches, *(place.edges for place in places)])
 
 
 def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:

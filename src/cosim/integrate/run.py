@@ -32,6 +32,7 @@ from cosim.integrate.outputs import Observed, all_columns, observe
 from cosim.integrate.passed_over import (
     changes_of,
     finer_than_steps,
+    may_change,
     rows_between,
     with_switching,
 )
@@ -275,6 +276,8 @@ def changes_in(request: RunRequest) -> Vector:
     prepared = prepare(request)
     names = tuple(column.name for column in prepared.columns)
     dae = with_switching(prepared.problem.dae, names)
+    if not may_change(dae, names):
+        return np.empty(0)
     prepared = replace(prepared, problem=replace(prepared.problem, dae=dae))
     motion, _, again = _integrated(prepared, request.numbers)
     if motion.reason == INTERRUPTED:

@@ -217,8 +217,27 @@ def test_a_ring_has_places_along_its_radius():
     np.testing.assert_allclose(np.median(np.array(radii)), -3, atol=0.2)
 
 
+QUADRATICS = {  # of which both variables are c on the diagonal, with the area of a slice along it
+    "along no state": (lambda c, d: (c + d) ** 2 + (c - 2 * d) ** 2, np.sqrt(np.pi / 5)),
+    "multiplied out": (lambda c, d: c * c - 2 * c * d + 3 * d * d, np.sqrt(np.pi / 2)),
+}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("kind", QUADRATICS)
+@pytest.mark.quick_share(0.5)
+def test_no_importer_steps_over_the_peak_of_a_quadratic(kind, fmi, tmp_path):
+    form, area = QUADRATICS[kind]
+    dae = on_hill(lambda c, d: ca.exp(-form(c, d)))
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu", fmi=fmi)
+    for place, width in ((PLACE, WIDTH), (33.3, 1e-2)):
+        right = after_an_impulse(HEIGHT * width * area, place)
+        found = heights(path, start_values={"p_1": place, "p_2": width})
+        np.testing.assert_allclose(found, right, rtol=2e-3)  # before: 0
+
+
 def test_a_hill_along_no_state_is_exported_with_a_warning():
-    dae = on_hill(lambda c, d: ca.exp(-((c + d) ** 2) - (c - 2 * d) ** 2))
+    dae = on_hill(lambda c, d: ca.exp(-((c + d) ** 4) - (c - 2 * d) ** 4))
     assert landmarks(dae).arguments.numel() == 0
     assert landmarks(dae).passed == ("x_1, x_4",)
 
