@@ -74,8 +74,7 @@ class Trajectory:
         numbers: Parameters and constant inputs of the run, SI; None if not known.
         again: Computes the run at other times within its span; None if it cannot be computed again.
         events: What happened at instants, in order.
-        changes: Returns between which times variables may change within a part of a step, s; None
-            if nothing tells it.
+        changes: Returns between which times it may change within a part of a step, s, if known.
 
     Raises:
         UsageError: The shapes do not fit, or a variable occurs twice.
@@ -189,10 +188,9 @@ class Trajectory:
             UsageError: A variable is named twice.
         """
         requested = (names,) if isinstance(names, str) else tuple(names)
-        own = self.names
-        if requested == own:
+        if requested == self.names:
             return replace(self)
-        places = {name: i for i, name in enumerate(own)}
+        places = {name: i for i, name in enumerate(self.names)}
         chosen = [places[name] if name in places else self._index(name) for name in requested]
         columns = tuple(self.columns[i] for i in chosen)
         values = self.values[:, chosen]
@@ -201,9 +199,8 @@ class Trajectory:
 
     def with_events(self) -> Trajectory:
         """Return the run with rows just before and just after each event, at the same time."""
-        names = self.names
         hidden = [e for e in self.events if np.count_nonzero(self.time == e.time) < 2]
-        known = [e for e in hidden if all(name in e.before for name in names)]
+        known = [e for e in hidden if all(name in e.before for name in self.names)]
         times, rows = list[float](), list[list[float]]()
         for time, here in groupby(known, lambda event: event.time):
             events = list(here)
@@ -211,7 +208,7 @@ class Trajectory:
             if time not in self.time:  # a row there has what is after it
                 sides.append(events[-1].after)
             times += [time] * len(sides)
-            rows += [[side[name] for name in names] for side in sides]
+            rows += [[side[name] for name in self.names] for side in sides]
         if not times:
             return self
         every = np.append(times, self.time)
@@ -356,8 +353,7 @@ class Trajectory:
 
     def __getstate__(self) -> dict[str, Any]:
         # a pickled result does not contain its model
-        own = {n: v for n, v in self.__dict__.items() if n != "curves"}
-        return own | {"again": None, "changes": None}
+        return {n: v for n, v in self.__dict__.items() if n not in ("curves", "again", "changes")}
 
     @property
     def structured(self) -> NDArray[Any]:

@@ -132,3 +132,16 @@ def test_a_model_whose_outputs_can_have_no_events_stays_as_it_is():
     dae = cosim.from_casadi({"x": x, "ode": 1}, outputs=outputs, stop_time=1)
     assert with_switching(dae, ("y", "a", "b")) is dae
     assert cosim.simulate(dae).curves.extremes.high[3] == pytest.approx(0.1)
+
+
+@pytest.mark.slow_rows("cvodes")
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_conditions_that_switch_very_often_hide_no_bump(solver):
+    model = cosim.Model("often", stop_time=10.0, output_interval=1.0)
+    x = model.state("x", "1", 0.0, "state")
+    model.derivative(x, 1)
+    model.output("steps", "1", ca.floor(1000 * x), "counter")
+    model.output("y", "1", ca.exp(-(((x - PLACE) / WIDTH) ** 2)), "bump")
+    found = cosim.simulate(model.freeze(), solver=solver).curves
+    np.testing.assert_allclose(found.extremes.high[1:], [1e4, 1], rtol=2e-4)
+    np.testing.assert_allclose(found.mean()[1:], [4999.5, BUMP / 10], rtol=1e-3)

@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import isnan
+from math import inf, isnan
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
@@ -57,6 +57,7 @@ class Problem:
             model's parameters.
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
             a relation leaves its mode; engines that cannot do so ignore it.
+        most_instants: Instants with events after which a run ends.
     """
 
     dae: Dae
@@ -70,6 +71,7 @@ class Problem:
     shares: tuple[float, ...] = ()
     in_own_time: bool = False
     system: Hybrid | None = None
+    most_instants: float = inf
 
     @property
     def grid(self) -> Vector:

@@ -223,6 +223,8 @@ class _Course:
         while self.next < len(self.grid) and not self.stop and not reason:
             try:
                 reason = self._advance()
+                if len(self.instants) > self.problem.most_instants:
+                    reason = Ending("it has too many events")
             except KeyboardInterrupt:  # what was computed is shown
                 interrupt_noticed()
                 reason = INTERRUPTED

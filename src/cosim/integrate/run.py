@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from math import isfinite
+from math import inf, isfinite
 from time import perf_counter
 from typing import NamedTuple
 
@@ -58,6 +58,7 @@ from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
 _NEARLY_SINGULAR = 0.5
+_MOST_SWITCHES = 50, 2_000  # of conditions in outputs; of a solver that goes through events
 _SHORTER = "give a smaller step_size, or a solver with error control"
 
 
@@ -272,17 +273,24 @@ def repeatable(
 
 
 def changes_in(request: RunRequest) -> Vector:
-    """Return between which times recorded variables may change within a part of a step, s."""
+    """Return between which times recorded variables may change within a part of a step, s.
+
+    Conditions of outputs that switch very often are left out: all that is near them is looked at.
+    """
     prepared = prepare(request)
-    names = tuple(column.name for column in prepared.columns)
-    dae = with_switching(prepared.problem.dae, names)
-    if not may_change(dae, names):
+    names, dae = tuple(c.name for c in prepared.columns), prepared.problem.dae
+    switching = with_switching(dae, names)
+    if not may_change(switching, names):
         return np.empty(0)
-    prepared = replace(prepared, problem=replace(prepared.problem, dae=dae))
-    motion, _, again = _integrated(prepared, request.numbers)
-    if motion.reason == INTERRUPTED:
-        raise KeyboardInterrupt
-    return changes_of(dae, names, motion, again)
+    few = _MOST_SWITCHES[prepared.problem.compiled and prepared.inner.watches]
+    for own, most in {switching: few, dae: inf}.items():
+        problem = replace(prepared.problem, dae=own, most_instants=most)
+        motion, _, again = _integrated(replace(prepared, problem=problem), request.numbers)
+        if motion.reason == INTERRUPTED:
+            raise KeyboardInterrupt
+        if not motion.reason:
+            return changes_of(own, names, motion, again)
+    return np.empty(0)
 
 
 def run_at(

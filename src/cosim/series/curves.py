@@ -191,13 +191,14 @@ def curves(
     shortest = 1e3 * np.spacing(max(abs(begin), abs(end)))  # else its nodes are the same numbers
     widths = [_NODES * (end - begin) / (_PER_STEP * max(count, 1)) for count in steps]
     even = _first_edges(begin, end, breaks, len(rows[0].time))
-    edges = [_with_changes(even, own, shortest) for own in changes or [np.empty(0)] * len(rows)]
+    found = changes or [np.empty(0)] * len(rows)
+    first = [_with_changes(even, own, shortest).tolist() for own in found]
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
     leaves = [list[tuple[float, float, Vector, Truths]]() for _ in rows]
     waiting = {
-        run: [panel for panel in pairwise(own.tolist()) if _width(panel) > shortest]
-        for run, own in enumerate(edges)
+        run: [panel for panel in pairwise(own) if _width(panel) > shortest]
+        for run, own in enumerate(first)
     }
     largest = [_largest(own.values) for own in rows]
     for level in range(_LEVELS + 1):
