@@ -20,6 +20,7 @@ from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
 _MOST_DEGREE = 4  # of a polynomial
+_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)}  # factors
 
 
 # Coefficients by what moves each product, in shares of its span: {(0, 0): c} is c (share of 0)^2
@@ -227,12 +228,9 @@ def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
         return None
     if code == ca.OP_DIV and operands[-1].stays:
         return _times(a, {(): 1 / b[()]})
-    factors = {
-        ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)
-    }  # fmt: skip
-    if code in factors:
-        one, other = factors[code]
-        return {key: one * a.get(key, 0) + other * b.get(key, 0) for key in a | b}
+    if code in _SUMS:
+        one, other, zero = *_SUMS[code], SX(0)
+        return {key: one * a.get(key, zero) + other * b.get(key, zero) for key in a | b}
     return _times(a, b) if code in (ca.OP_MUL, ca.OP_SQ) else None
 
 
@@ -250,18 +248,13 @@ def _within_terms(span: _Span) -> _Span:
     if terms is None or max(map(len, terms)) < 2:
         return span
     degrees = {row: max(key.count(row) for key in terms) for key in terms for row in key}
-    every = list[SX]()
-    for place in product(*(range(degree + 1) for degree in degrees.values())):
-        shares = [
-            coefficient
-            * prod(
-                comb(i, key.count(row)) / comb(n, key.count(row))
-                for i, (row, n) in zip(place, degrees.items(), strict=True)
-            )
-            for key, coefficient in terms.items()
-        ]
-        every.append(ca.sum1(ca.vertcat(*shares)))
-    known = ca.vertcat(*every)
+
+    def weight(key: tuple[int, ...], place: Sequence[int]) -> float:
+        pairs = zip(place, degrees.items(), strict=True)
+        return prod(comb(i, key.count(row)) / comb(n, key.count(row)) for i, (row, n) in pairs)
+
+    places = product(*(range(n + 1) for n in degrees.values()))
+    known = column(sum(c * weight(key, place) for key, c in terms.items()) for place in places)
     is_finite = ca.fabs(ca.sum1(known)) < SX.inf()  # fmin and fmax pass over NaN
     low, high = ca.fmax(span.low, ca.mmin(known)), ca.fmin(span.high, ca.mmax(known))
     ends = ca.if_else(is_finite, low, span.low), ca.if_else(is_finite, high, span.high)

@@ -273,8 +273,7 @@ class Ensemble:
             return
         nodes = 4 * max(len(self.time), 4 * int(self.steps.max(initial=0)))
         size = max(1, _NUMBERS // (nodes * len(self.columns) + 1))
-        none = np.empty(0)
-        edges = {i: none if self.changes is None else self.changes(i) for i in plain.tolist()}
+        edges = {i: self.changes(i) if self.changes else np.empty(0) for i in plain.tolist()}
         calm = np.array([i for i, own in edges.items() if not len(own)], dtype=np.int64)
         groups = [calm[first : first + size] for first in range(0, len(calm), size)]
         for some in [*groups, *np.setdiff1d(plain, calm)[:, None]]:
