@@ -59,6 +59,7 @@ SHORT = [
     ("sensitivity", "b.ROUNDS = 1; b.main(0.1)", "central differences"),
     ("sessions", "b.main(200)", "session: save"),
     ("steps", "b.main(6)", "cosim dop853              0 (0)"),
+    ("steps", "b.outputs(6)", "mean: {'dop853': 0, 'cvodes': 0}"),
     ("structure", "b.main(b.Path.cwd())", "files entered"),
     ("tail", "b.REPEATS = 1; b.main()", "two outputs, validity ignored"),
 ]
