@@ -249,12 +249,15 @@ def _within_terms(span: _Span) -> _Span:
         return span
     degrees = {row: max(key.count(row) for key in terms) for key in terms for row in key}
 
-    def weight(key: tuple[int, ...], place: Sequence[int]) -> float:
-        pairs = zip(place, degrees.items(), strict=True)
-        return prod(comb(i, key.count(row)) / comb(n, key.count(row)) for i, (row, n) in pairs)
+    def coefficient(place: Sequence[int]) -> SX:
+        found = SX(0)
+        for key, factor in terms.items():
+            pairs = zip(place, degrees.items(), strict=True)
+            shares = (comb(i, key.count(row)) / comb(n, key.count(row)) for i, (row, n) in pairs)
+            found += factor * prod(shares)
+        return found
 
-    places = product(*(range(n + 1) for n in degrees.values()))
-    known = column(sum(c * weight(key, place) for key, c in terms.items()) for place in places)
+    known = column(map(coefficient, product(*(range(n + 1) for n in degrees.values()))))
     is_finite = ca.fabs(ca.sum1(known)) < SX.inf()  # fmin and fmax pass over NaN
     low, high = ca.fmax(span.low, ca.mmin(known)), ca.fmin(span.high, ca.mmax(known))
     ends = ca.if_else(is_finite, low, span.low), ca.if_else(is_finite, high, span.high)
