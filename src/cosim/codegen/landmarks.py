@@ -309,9 +309,10 @@ def _is_table(function: ca.Function) -> bool:
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
     """Return where a term of several quantities may move; None if unknown.
 
-    If it is a function of one quantity of them, these are places of that. It also rests beyond
-    parts of the way of each quantity, wherever the others are: whoever gets to where it moves
-    passes the end of one of them. A slope, which ends at another value than it begins, has none.
+    If it is a function of one quantity of them, these are places of that; see `_around_peak`, too.
+    It also rests beyond parts of the way of each quantity, wherever the others are: whoever gets to
+    where it moves passes the end of one of them. A slope, which ends at another value than it
+    begins, has none.
     """
     each = (_changes(dae, term, np.empty(0), p) for term in several.alone)
     found = next(filter(None, each), list[_Change]())
