@@ -125,6 +125,13 @@ def test_outputs_change_no_step_and_smooth_ones_no_number():
     assert not len(runs[0].changes())
 
 
+def test_a_model_whose_equations_have_the_conditions_of_its_outputs_stays_as_it_is():
+    x = SX.sym("x")
+    force = 1e3 * ca.fmax(0, -x)
+    dae = cosim.from_casadi({"x": x, "ode": force - x}, outputs={"force": force})
+    assert with_switching(dae, ("force",)) is dae
+
+
 def test_a_model_whose_outputs_can_have_no_events_stays_as_it_is():
     x = ca.MX.sym("x")
     tables = [ca.interpolant(name, "linear", [[0.0, 10.0]], [0.0, 1.0]) for name in "ab"]

@@ -161,10 +161,11 @@ def with_switching(dae: Dae, names: tuple[str, ...]) -> Dae:
         return dae
     switching = replace(dae, driving=tuple(sorted({*dae.driving, *own})))
     try:
-        hybrid(switching)
+        systems = hybrid(dae), hybrid(switching)
     except ValueError:  # of functions that are called
         return dae
-    return switching
+    known, more = (0 if system is None else len(system.relations) for system in systems)
+    return switching if more > known else dae
 
 
 @cached_per_thread(16)
