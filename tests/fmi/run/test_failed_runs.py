@@ -94,6 +94,16 @@ def test_description_of_another_version_is_an_error(fmus, tmp_path):
         cosim.simulate_fmu(path)
 
 
+def test_a_name_that_two_variables_have_is_an_error(fmus, tmp_path):
+    def rename(root: ET.Element) -> None:
+        for name in ("x", "y"):
+            root.find(f"ModelVariables/*[@name='{name}']").set("name", "z")
+
+    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", rename)
+    with pytest.raises(FmuError, match="2 variables have the name 'z'; rename one"):
+        cosim.simulate_fmu(path)
+
+
 def test_texts_are_not_recorded_and_cannot_be_asked_for(fmus, tmp_path):
     def add_text(root: ET.Element) -> None:
         variables = root.find("ModelVariables")

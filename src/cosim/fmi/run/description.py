@@ -1,6 +1,7 @@
 """The model description of an unpacked FMU, and which of its interfaces runs on this machine."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import lru_cache
@@ -57,7 +58,8 @@ def read_description(folder: Path, name: object) -> Any:
     one, which every backend uses, and the structured one as its alias.
 
     Raises:
-        FmuError: The description cannot be read, or is of another version than FMI 2 and 3.
+        FmuError: The description cannot be read, has a name twice, or is of another version than
+            FMI 2 and 3.
     """
     from fmpy.model_description import VariableAlias, read_model_description
 
@@ -78,6 +80,10 @@ def read_description(folder: Path, name: object) -> Any:
         if variable.name in names:
             variable.aliases = [VariableAlias(name=variable.name)]
             variable.name = names[variable.name]
+    own_names = (v.name for v in description.modelVariables if v.causality != "independent")
+    for own, count in Counter(own_names).items():
+        if count > 1:
+            raise FmuError(f"{name}: {count} variables have the name '{own}'; rename one")
     _drop_inverse_display_units(description, root)
     _read_overlooked(description, root)
     if not is_second(description):  # fmpy does not read the flag of FMI 3
