@@ -11,6 +11,7 @@ import shlex
 import subprocess
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,24 @@ def test_check_finds_that_a_file_is_no_fmu(tmp_path, capsys):
     for options in ((), ("--run", "--trust")):
         assert main(["check", str(path), *options]) == 4
         assert "it is not a zip archive" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("files", "found"),
+    [
+        ({}, "it has no modelDescription.xml; give an FMU"),
+        ({"modelDescription.xml": "<a>"}, "modelDescription.xml is not well-formed: no element"),
+    ],
+)
+def test_check_places_a_fault_of_the_description_in_its_file(files, found, tmp_path, capsys):
+    path = tmp_path / "a.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    assert main(["check", str(path), "--json"]) == 4
+    (finding,) = json.loads(capsys.readouterr().out)
+    assert (finding["rule"], finding["place"]) == ("xml", "modelDescription.xml")
+    assert finding["found"].startswith(found)
 
 
 def test_a_missing_file_of_a_model_is_an_unknown_model(capsys):

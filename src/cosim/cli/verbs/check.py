@@ -2,10 +2,12 @@
 
 import argparse
 import sys
+from xml.parsers.expat import ExpatError
 
 from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
 from cosim.files import is_file
+from cosim.fmi.archive import DESCRIPTION
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, RULES, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
@@ -24,7 +26,10 @@ def run(args: argparse.Namespace) -> int:
     except FmuError as error:
         if not is_file(args.file):
             raise
-        findings, args.trials = [RULES["archive"].about("archive", str(error))], False
+        in_xml = isinstance(error.__cause__, ExpatError | LookupError | None)
+        place, rule = (DESCRIPTION, "xml") if in_xml else ("archive", "archive")
+        found = str(error).removeprefix(f"{args.file}: ")
+        findings, args.trials = [RULES[rule].about(place, found)], False
     if args.trials:
         findings += _trials(args)
     show_table([finding.row() for finding in findings], as_json=args.json)
