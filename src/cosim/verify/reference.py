@@ -71,7 +71,7 @@ class Reference:
         """Return the largest estimated error of some variables, or of all."""
         return max(self.errors[name] for name in (self.errors if names is None else names))
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return f"{self.run.model}: {self.method}, {self.error():.1e} from {self.check}"
 
 

@@ -33,6 +33,7 @@ def test_unstable_equilibrium_of_the_bar_has_the_eigenvalues_of_the_closed_form(
     roots = np.roots([1, damping, -((2 * np.pi) ** 2)])
     found = [m.value for m in linear.modes if "theta" in m.states]
     np.testing.assert_allclose(sorted(found, key=np.real), sorted(roots), rtol=1e-12)
+    assert repr(linear).startswith("bar_on_frame/reduced at ")
 
 
 @pytest.mark.slow_rows("multipliers")

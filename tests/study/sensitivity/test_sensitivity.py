@@ -44,6 +44,7 @@ def test_parameter_that_is_named_twice_has_one_derivative():
     found = sensitivity(dae, outputs=["phi"], with_respect_to=names, check=False, **SHORT)
     assert [target.name for target in found.targets] == ["alpha", "omega"]
     np.testing.assert_allclose(found.values[-1], [[0.5, 1.0]], rtol=1e-12)  # of t^2 / 2 and t
+    assert repr(found) == "crank_shaft/driven: phi by alpha, omega; not checked"
 
 
 @pytest.mark.slow_rows("False-erk", "False-rosenbrock", "True-rosenbrock")

@@ -223,7 +223,7 @@ class Linearization:
         """
         write_atomically(target, csv_text(self.rows()).encode())
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         every = "" if self.period is None else f", a discrete map per {self.period:g} s"
         return f"{self.model} at {self.point}: {len(self.states)} states, {self.steadiness}{every}"
 

@@ -38,7 +38,7 @@ class Agreement:
     bound: float
     note: str = ""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return one_note(
             f"{self.method}: the largest difference is {self.scaled:.1e}, in d {self.output} / d "
             f"{self.with_respect_to} at {self.time:g} s (bound {self.bound:g})",
@@ -134,7 +134,7 @@ class Sensitivity:
         """Write `time` and every derivative; see `Trajectory.to_csv`."""
         self.trajectory.to_csv(target)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         names = ", ".join(target.name for target in self.targets)
         checked = "not checked" if self.check is None else str(self.check)
         return f"{self.run.model}: {', '.join(self.run.names)} by {names}; {checked}"
