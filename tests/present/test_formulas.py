@@ -61,7 +61,10 @@ def test_part_that_occurs_twice_has_a_name():
     [
         ("theta1_dot", "_θ˙1"),
         ("Omega", "Ω"),
-        ("f1_G_F", "_f1_G_F"),
+        ("f1_G_F", "_f1,G,F"),
+        ("M_phi", "_Mφ"),
+        ("arm_mass", "arm_mass"),
+        ("fx_A", "_fxA"),
         ("k2", "_k2"),
         ("lambda", "λ"),
         ("mA", "_mA"),

@@ -193,11 +193,12 @@ def symbol(name: str) -> str:
     plain, dots = re.subn("(_dot)+$", "", name)
     parts = re.fullmatch(r"([A-Za-z]+?)_?(\d.*|_.*|(?<=[a-z])[A-Z])?", plain)
     head, index = (parts[1], (parts[2] or "").strip("_")) if parts else (plain, "")
-    if not index[:1].isdigit() and len(_letter(head)) > (3 if "_" in plain else 1):
-        head, index = plain, ""  # words, such as steer_torque, and mA
+    if not index[:1].isdigit() and len(_letter(head)) > (2 if "_" in plain else 1):
+        head, index = plain, ""  # words, such as arm_mass, and mA
     text = f"<mi>{html.escape(_letter(head))}</mi>"
     text = f"<mover>{text}<mo>˙</mo></mover>" if dots else text
-    return f"<msub>{text}<mi>{html.escape(index)}</mi></msub>" if index else text
+    shown = html.escape(",".join(map(_letter, index.split("_"))))
+    return f"<msub>{text}<mi>{shown}</mi></msub>" if index else text
 
 
 def _letter(name: str) -> str:
