@@ -54,7 +54,7 @@ def test_what_is_no_model_is_refused_with_how_to_get_one(call, wrong):
         return
     told = refusal(UsageError, lambda: call(wrong))
     assert type(wrong).__name__ in told
-    assert told.endswith("a Dae, as cosim.load('bicycle') returns")
+    assert told.endswith("a Dae, as cosim.load or cosim.from_casadi returns")
 
 
 @pytest.mark.parametrize("wrong", NO_RUN, ids=short)
@@ -160,6 +160,7 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"inputs": {"force": "t"}, "start_values": {"force": 2}}, "force is given twice"),
         ({"inputs": RAMP, "start_values": {"force": 2}}, "force is given twice"),
         ({"stop_when": "x > "}, "stop_when: 'x > ' is no formula"),
+        ({"stop_when": "x > 3 m"}, "units without a blank, as in 3deg"),
         ({"stop_when": "x"}, "'x' is no condition; compare two values"),
         ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is not understood"),
         ({"stop_when": 3}, "3 is no formula"),

@@ -183,7 +183,7 @@ def test_other_verbs_reject_invalid_numbers(line, refused):
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("simulate Bicycle", "no model 'Bicycle'; did you mean bicycle. .all: cosim list"),
+        ("simulate Bicycle", "no model 'Bicycle'; did you mean bicycle. .all: cosim info"),
         ("info bycicle", "no model 'bycicle'; did you mean bicycle"),
         ("export bike", "no model 'bike'; "),
         ("simulate ..", "no model '..'; it has crank_shaft, bar_on_frame, bicycle"),

@@ -112,6 +112,7 @@ def test_declared_open_input_is_not_listed_and_survives_ssp(toml, tmp_path):
         ("a.k", UsageError, "a.k is no input"),
         ("a.w", UnknownName, "part 'a' has no variable 'w'"),
         ("c.u", UnknownName, "the system has no part 'c'"),
+        ("b", UnknownName, "part 'b' has no variable ''; it has x, y, u"),
     ],
 )
 def test_wrong_open_input_is_rejected_with_its_line(toml, name, kind, words):

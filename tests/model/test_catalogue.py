@@ -62,7 +62,7 @@ def test_formulation_is_the_file_of_its_name_as_for_a_users_own(name):
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("Bicycle", r"no model 'Bicycle'; did you mean bicycle\? \(all: cosim list\)"),
+        ("Bicycle", r"no model 'Bicycle'; did you mean bicycle\? \(all: cosim info\)"),
         ("doublependulum", "did you mean double_pendulum"),
         ("", "no model ''; it has crank_shaft, bar_on_frame, bicycle"),
         ("/", "no model ''"),

@@ -209,8 +209,8 @@ def split_name(parts: Mapping[str, Part], name: object) -> tuple[str, str]:
     Raises:
         UnknownName: There is no such part or variable.
     """
-    part, dot, variable = str(name).partition(".")
-    if not dot or part not in parts:
+    part, _, variable = str(name).partition(".")
+    if part not in parts:
         raise UnknownName.among("the system", "part", part, parts)
     return part, parts[part].variable(variable).name
 

@@ -142,7 +142,7 @@ def load(name: str) -> Dae:
         raise _unknown_model(name) from None
 
 
-_A_MODEL = "a model's name, or a Dae, as cosim.load('bicycle') returns"
+_A_MODEL = "a model's name, or a Dae, as cosim.load or cosim.from_casadi returns"
 _of_the_catalogue = cached_per_thread(16)(load)
 
 
@@ -210,7 +210,7 @@ def _unknown_model(name: str) -> UnknownName | UsageError:
         own = [e.partition("/")[2] for e in catalog if e.partition("/")[0] == model]
         return UnknownName.among(model, "formulation", formulation, own)
     near = UnknownName.among("cosim", "model", model, models)
-    return UnknownName(f"{near} (all: cosim list)")
+    return UnknownName(f"{near} (all: cosim info)")
 
 
 FILE = Path(__file__).with_name("catalogue.json")

@@ -34,6 +34,7 @@ _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     "max": (2, ca.fmax),
     "where": (3, ca.if_else),  # where(condition, value if so, value if not)
 }
+_FACTORS = "write * between factors, as in 2*sin(t), and units without a blank, as in 3deg"
 _LOGIC = "write `and` for & and `or` for |"
 _CHOOSE = "write where(t > 1, 2, 0): the condition, the value if it holds, and the other one"
 _REMEDIES = {  # by what a text that is no formula contains
@@ -41,7 +42,7 @@ _REMEDIES = {  # by what a text that is no formula contains
     r"&&|\|\|": _LOGIC,
     r"(?<![=<>!])=(?!=)": "write <, > or, for discrete variables, == between two values",
     r"\.[*/^]": "write *, / and ^ without a point",
-    r"(?<!\w)[\d.]+\s*[A-Za-z(]": "write * between factors, as in 2*sin(t)",
+    r"(?<!\w)[\d.]+\s*[A-Za-z(]": _FACTORS,
 }
 _OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step", "heaviside")
 _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {

@@ -27,7 +27,7 @@ def find_scene(path: str | os.PathLike[str]) -> Path:
     shipped = {entry.name: entry for entry in shipped_scenes()}
     if requested.name not in shipped:
         near = UnknownName.among("the working directory or cosim", "scene", requested.name, shipped)
-        raise UnknownName(f"{near} (all: cosim list)")
+        raise UnknownName(f"{near} (all: cosim info)")
     return shipped[requested.name]
 
 
