@@ -27,7 +27,6 @@ def run(args: argparse.Namespace) -> int:
     selection = _selection(args)
     co_simulated = is_system(args.model) and selection == Selection(steps=selection.steps)
     named = not args.model.lower().endswith(".toml") and ("/" in args.model or ".py:" in args.model)
-
     shown = not args.quiet and (args.verbose or sys.stderr.isatty())
     given = dict[str, Any]()
     if co_simulated:
