@@ -17,6 +17,7 @@ def test_columns_are_aligned_and_numbers_short():
     assert head == "name  value  meaning"
     assert first.startswith("phi   0.123  roll angle roll")
     assert second == "x"
+    assert text_table([{"a": -0.0, "b": 1e-30}]).splitlines()[1] == "0  1e-30"
 
 
 @pytest.mark.parametrize("width", [30, 60, 79])

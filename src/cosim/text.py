@@ -211,7 +211,7 @@ class Table:
 def cell(value: Any, digits: int = 3) -> str:
     """Return a value as it stands in a table: numbers with a few digits."""
     if isinstance(value, float):
-        return f"{value:.{digits}g}"
+        return f"{value + 0.0:.{digits}g}"  # -0.0 as 0
     return "" if value is None else visible(str(value))
 
 
@@ -258,6 +258,12 @@ def html_table(rows: Sequence[Mapping[str, Any]], caption: str = "", *, digits: 
     )
     above = f"<caption>{escape(caption)}</caption>" if caption else ""
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def html_list(heading: str, texts: Iterable[str]) -> str:
+    """Return texts as an HTML list below a heading; "" if there are none."""
+    items = "".join(f"<li>{escape(text)}</li>\n" for text in texts)
+    return f"<p>{escape(heading)}</p>\n<ul>\n{items}</ul>\n" if items else ""
 
 
 def json_text(facts: Any, indent: int | None = None) -> str:

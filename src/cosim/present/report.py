@@ -35,7 +35,7 @@ from cosim.present.playback.playback import playback
 from cosim.scene.scene import Scene, run_settings
 from cosim.study.linearize.linearization import Linearization
 from cosim.study.linearize.linearize import linearize
-from cosim.text import counted, html_table, moment, violations_in
+from cosim.text import counted, html_list, html_table, moment, violations_in
 from cosim.trajectory import Trajectory
 
 _FEW = 20  # lines that are not folded
@@ -94,16 +94,14 @@ def _validity(run: Trajectory) -> str:
 def _system(c: ReportContents) -> Iterable[str]:
     yield "<h2>The system</h2>"
     facts = {"model": c.dae.full_name, "source": c.dae.source}
-    if c.scene.title:
-        facts["description"] = c.dae.description
+    facts["description"] = c.scene.title and c.dae.description  # else it is the title of the page
     counts = size(c.dae)
     facts["equations"] = (
         f"{counts.states} differential, {counts.algebraics} algebraic; {counts.operations} scalar "
         f"operations with {counted(counts.outputs, 'output')}"
     )
     facts["states"] = ", ".join(v.name for v in c.dae.states)
-    if c.dae.algebraics:
-        facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
+    facts["algebraic unknowns"] = ", ".join(v.name for v in c.dae.algebraics)
     yield _facts_table(facts)
     if pose := start_pose(c.dae):
         content = b64encode(diagram(pose)).decode()
@@ -111,14 +109,8 @@ def _system(c: ReportContents) -> Iterable[str]:
     if c.dae.full_name in casadi_models.CATALOG:
         yield from _paragraphs(import_module(f"casadi_models.{c.dae.name}").__doc__ or "")
     yield from _equations(c)
-    if c.dae.limits:
-        yield "<p>The model is valid while</p><ul>"
-        yield from (f"<li>{html.escape(meaning)}</li>" for _, meaning in c.dae.limits)
-        yield "</ul>"
-    if c.dae.report:
-        yield "<p>Reduced to the outputs of the scene:</p><ul>"
-        yield from (f"<li>{html.escape(line)}</li>" for line in c.dae.report)
-        yield "</ul>"
+    yield html_list("The model is valid while", (meaning for _, meaning in c.dae.limits))
+    yield html_list("Reduced to the outputs of the scene:", c.dae.report)
 
 
 def _prose(text: str) -> str:
@@ -199,8 +191,7 @@ def _numbers_section(c: ReportContents) -> Iterable[str]:
         ("Parameters", c.dae.parameters),
         ("Inputs", c.dae.inputs),
     ):
-        rows = [_parameter_row(v, c, values) for v in variables]
-        if rows:
+        if rows := [_parameter_row(v, c, values) for v in variables]:
             yield html_table(rows, caption)
     settings = run_settings(c.scene.request)
     yield _facts_table({key.replace("_", " "): value for key, value in settings.items()})
@@ -227,8 +218,7 @@ def _parameter_row(
 
 
 def _printed(c: ReportContents) -> Iterable[str]:
-    rows = list(printed_rows(c.scene, c.run))
-    if rows:
+    if rows := list(printed_rows(c.scene, c.run)):
         yield "<h2>The book's numbers and the run's</h2>"
         yield html_table(rows, "Last column: whether the difference exceeds the book's rounding")
 

@@ -1,6 +1,6 @@
 """Documentation of an FMU: the page `documentation/index.html`, diagram and icon of its model."""
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
@@ -15,6 +15,7 @@ from cosim.drawing.pose import start_pose
 from cosim.fmi.export.plan import Plan
 from cosim.fmi.export.variables import FmuVariable, Role
 from cosim.memo import cached_per_thread
+from cosim.text import html_list
 
 LONGEST_FORMULA = 120  # characters of an expression that the page shows
 DIAGRAM = "documentation/diagram.png"
@@ -41,8 +42,7 @@ def formulas(dae: Dae) -> tuple[tuple[str, str], ...]:
     every = [f"der({state.name})" for state in dae.states] + ["0"] * len(dae.algebraics)
     every += [output.name for output in dae.output_variables]
     expressions = ca.vertsplit(ca.vertcat(dae.ode, dae.alg, dae.outputs))
-    for left, expression in zip(every, expressions, strict=True):
-        found.append((left, _text(expression, parameters)))
+    found += zip(every, (_text(one, parameters) for one in expressions), strict=True)
     return tuple(found)
 
 
@@ -66,10 +66,11 @@ _HEADINGS = {
     Role.OUTPUT: "Outputs",
 }
 _FIGURE = """<figure><img src="diagram.png" alt="the mechanism">
-<figcaption>At the start values. 1, 2, 3: axes of the bodies' frames. Brown: what counts as a
-positive force or torque. Purple, two heads: the axis of a positive turn, by the right
-hand.</figcaption></figure>
+<figcaption>At the start values. 1, 2, 3: axes of the bodies' frames. Brown: positive forces and
+torques. Purple, two heads: axes of positive rotation (right-hand rule).</figcaption></figure>
 """
+_EQUATIONS = """Short equations are written out; f stands for a longer one, with its number of
+operations. sources/equations.c computes all of them together."""
 
 
 def documentation_page(plan: Plan, *, pictured: bool) -> str:
@@ -80,25 +81,20 @@ def documentation_page(plan: Plan, *, pictured: bool) -> str:
         _section(heading, [v for v in variables if v.role is role])
         for role, heading in _HEADINGS.items()
     )
-    equations = _items(f"{left} = {right}" for left, right in formulas(dae))
-    limits = _items(meaning for _, meaning in dae.limits)
-    drift = _items(invariant.meaning for invariant in dae.invariants)
     return page.substitute(
         name=escape(dae.full_name),
         description=escape(dae.description),
         source=escape(dae.source),
         solver=escape(plan.solver),
         tolerance=f"{plan.options.tolerance:g}",
-        limits=limits and f"<p>The model holds while</p>\n<ul>\n{limits}</ul>\n",
+        limits=html_list("The model is valid while", (meaning for _, meaning in dae.limits)),
         diagram=_FIGURE if pictured else "",
         sections="".join(sections),
-        equations=equations,
-        invariants=drift and f"<p>What exact solutions keep to:</p>\n<ul>\n{drift}</ul>\n",
+        equations=html_list(_EQUATIONS, (f"{left} = {right}" for left, right in formulas(dae))),
+        invariants=html_list(
+            "The exact solution fulfills", (one.meaning for one in dae.invariants)
+        ),
     )
-
-
-def _items(texts: Iterable[str]) -> str:
-    return "".join(f"<li>{escape(text)}</li>\n" for text in texts)
 
 
 def _section(heading: str, variables: Sequence[FmuVariable]) -> str:
