@@ -5,7 +5,7 @@
     >>> len(run), run.names
     (101, ('phi', 'delta'))
 
-`cosim.models()` is what there is, `cosim.info("bicycle")` what one is.
+`cosim.models()` lists all models, `cosim.info("bicycle")` describes one.
 
 Names are imported when first used, so that `import cosim` costs nothing. `__init__.pyi` lists them,
 one `from MODULE import NAME as NAME` a line; type checkers read the same file.

@@ -68,7 +68,7 @@ class Trajectory:
         time: Output times, s, (n,).
         columns: The variables.
         values: One column per variable, (n, len(columns)).
-        stats: Facts about the run: solver, steps, rhs_calls, wall_time [s], compiled, ...
+        stats: Mapping of facts: solver, steps, wall_time [s], ...; of a native run also attributes.
         status: "complete", or where and why the run stopped early.
         drawing: What the model looks like, with the run's parameters; None if not known.
         numbers: Parameters and constant inputs of the run, SI; None if not known.
@@ -94,7 +94,7 @@ class Trajectory:
     time: Vector
     columns: tuple[Column, ...]
     values: Vector
-    stats: Mapping[str, Any] = field(default_factory=dict)
+    stats: Any = field(default_factory=dict)
     status: str = "complete"
     drawing: Drawing | None = field(default=None, repr=False)
     again: Callable[[Vector], Trajectory] | None = field(default=None, repr=False)
