@@ -80,8 +80,9 @@ def test_unknown_model_is_answered_with_the_nearest_whatever_the_case(name, told
     ("name", "told"),
     [
         ("mine.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
-        ("bar_theta.toml", "tradeoff and plot; in Python, by cosim.read_scene"),
+        ("bar_theta.toml", "most verbs; in Python, by cosim.read_scene"),
         ("folder/bicycle.fmu", "an FMU is taken by simulate"),
+        ("run.csv", "a result is taken by plot and animate; in Python, by cosim.Trajectory.read"),
     ],
 )
 def test_file_that_is_no_model_is_told_where_it_belongs(name, told):

@@ -114,8 +114,8 @@ def _wrong_call(method: str, reason: str) -> str:
 _OTHER_FILES = {
     ".py": "name the function that builds it, too, as PATH.py:FUNCTION",
     ".ssp": "a system is taken by simulate, tradeoff and info; in Python, by cosim.read_ssp",
-    ".toml": "a scene is taken by simulate, export, crosscheck, tradeoff and plot; in Python, by "
-    "cosim.read_scene",
+    ".toml": "a scene is taken by most verbs; in Python, by cosim.read_scene",
+    ".csv": "a result is taken by plot and animate; in Python, by cosim.Trajectory.read_csv",
     ".fmu": "an FMU is taken by simulate, crosscheck and plot; in Python, by cosim.simulate_fmu",
 }
 
