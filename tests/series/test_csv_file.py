@@ -104,6 +104,15 @@ def test_decimal_commas_are_read_where_semicolons_part_the_columns(tmp_path):
     np.testing.assert_array_equal(run["x"], [1.25, -0.25, np.nan])
 
 
+@pytest.mark.parametrize("first", ["sep=;", '"sep=;"', "SEP=; "])
+def test_a_first_line_may_declare_the_separator(tmp_path, first):
+    run = read(tmp_path, f"{first}\ntime;x [m]\n0,5;1,25\n1;2\n")
+    np.testing.assert_array_equal(run["x"], [1.25, 2])
+    assert read(tmp_path, "sep=|\ntime|x;y\n0|1\n1|2\n")["x;y"].tolist() == [1, 2]
+    with pytest.raises(UsageError, match="is empty"):
+        read(tmp_path, f"{first}\n")
+
+
 def test_commas_beside_decimal_points_are_rejected(tmp_path):
     path = tmp_path / "mixed.csv"
     path.write_text("time;x\n0;1,234\n1.5;2\n")

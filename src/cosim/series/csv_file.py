@@ -21,6 +21,7 @@ UNIT_KINDS = ("si", "book")  # of units in files
 _NAMED = re.compile(r"\s*(.+?)\s*(?:\[([^\[\]]*)\]?|\(([^()]*)\)?)?\s*")
 _WITHOUT_UNIT = re.compile(r"der\(.*\)|\S+\[[\d\s,;]+\]")  # a derivative, an element
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")  # a number with a decimal comma
+_SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # a first line for Excel
 _BLOCK = 1000  # rows, that are written at once
 Words = Callable[[str, str], float | None]  # from the name of a column and a cell
 _TIME = re.compile("t|(?i:time|zeit|temps)")  # T is a torque or a temperature
@@ -138,7 +139,7 @@ def _parts(
     Returns:
         The header; the names in it; the units, which may have a line of their own; the samples.
     """
-    head, *body = _with_decimal_points(rows_of(path))
+    head, *body = rows_of(path)
     place, cells = f"{path}, line {head[0]}", [cell.strip() for cell in head[1]]
     if len(cells) < 2 or any(_is_number(cell) for cell in cells):
         raise UsageError(f"{place}: no header; write 'time,NAME,...' there")
@@ -219,17 +220,23 @@ def si_name(name: str, unit: Unit) -> str:
 
 
 def rows_of(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the cells of a CSV file with the numbers of their lines, without comments."""
+    """Return the cells of a CSV file with the numbers of their lines, without comments.
+
+    Without a line such as `sep=;` the header tells what separates the cells.
+    """
     from cosim.files import read_text  # only if a file is used
 
     lines = [*enumerate(read_text(path).splitlines(), 1)]
     lines = [(i, line) for i, line in lines if line.strip() and not line.startswith("#")]
+    declared = _SEPARATOR.fullmatch(lines[0][1].rstrip(" ")) if lines else None
+    lines = lines[1:] if declared else lines
     if not lines:
         raise UsageError(f"{path} is empty; give a CSV file with a header")
     head = lines[0][1]
     mark = next((mark for mark in (";", "\t", ",") if mark in head), ",")
+    mark = declared[1] if declared else mark
     rows = [(i, _cells(f"{path}, line {i}", line, mark)) for i, line in lines]
-    return [(i, cells) for i, cells in rows if any(cell.strip() for cell in cells)]
+    return _with_decimal_points([row for row in rows if any(map(str.strip, row[1]))])
 
 
 def _cells(place: str, line: str, mark: str) -> list[str]:

@@ -224,6 +224,18 @@ def test_values_along_a_parameter_must_be_monotonic():
         linearize(cosim.load("crank_shaft"), along={"alpha": [1.0, 3.0, 2.0]})
 
 
+def test_a_value_beside_values_along_the_same_parameter_is_rejected(tmp_path, capsys):
+    values = {"start_values": {"b": 4.0}, "along": {"b": [0.1, 0.2]}}
+    with pytest.raises(UsageError, match="b is in start_values and in along; give it once"):
+        linearize("bar_on_frame", **values)
+    scene = tmp_path / "s.toml"
+    scene.write_text('model = "bar_on_frame"\n[parameters]\nb = 4.0\n')
+    along = ["--along", "b=0.1:0.2:2", "--outputs", "theta"]
+    assert main(["linearize", str(scene), *along]) == 0  # its own value gives way
+    assert main(["linearize", str(scene), *along, "-p", "b=3"]) == 2
+    assert "b is in start_values and in along" in capsys.readouterr().err
+
+
 def test_fmu_is_linearized_at_its_initial_state_only(tmp_path):
     path = cosim.export_fmu(cosim.load("crank_shaft/driven"), tmp_path / "crank.fmu")
     with pytest.raises(UsageError, match="linearized at its initial state"):

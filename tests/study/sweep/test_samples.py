@@ -33,6 +33,12 @@ def test_samples_from_a_file_have_its_numbers_bit_for_bit(tmp_path):
     np.testing.assert_array_equal(again.columns["b"], samples.columns["b"])
 
 
+def test_samples_may_have_decimal_commas(tmp_path):
+    (tmp_path / "s.csv").write_text("sep=;\na;b\n1,5;2\n2;-3,5e-1\n")
+    columns = read_samples(tmp_path / "s.csv").columns
+    assert [own.tolist() for own in columns.values()] == [[1.5, 2], [2, -0.35]]
+
+
 def test_single_values_hold_for_every_row_of_a_table():
     found = chosen_samples({"g": 9.81}, {"phi": [0, 1, 2]})
     assert found.columns["g"].tolist() == [9.81] * 3

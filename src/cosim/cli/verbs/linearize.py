@@ -9,6 +9,7 @@ from cosim.cli.arguments import (
     numbers_in,
     scene_from,
     spaced,
+    start_texts,
     start_values_of_fmu,
     value_of,
 )
@@ -85,6 +86,8 @@ def _along(
     reject_mixed_units(f"--along {name}", parts[:2])
     first, last = (value_of(dae, name, part) for part in parts[:2])
     values = spaced(f"--along {args.along}", first, last, parts[2])
+    if name not in dict(start_texts(args)):
+        start.pop(name, None)  # a value of the scene
     found = evaluate(model, along={name: values}, at=at, start_values=start, outputs=outputs)
     if args.output_file:
         write_text(args.output_file, csv_text(found.rows()))

@@ -81,7 +81,7 @@ def linearize(
     Raises:
         UnknownName: A name does not exist.
         UsageError: An FMU can be linearized at its initial state only, and not along a parameter;
-            or `along` does not name one variable.
+            or `along` does not name one variable, or one that `start_values` names, too.
         ParameterError: The values along a parameter do not increase or decrease; or the run ends
             before the time.
         InitialConditionError: The initial values contradict the constraints, or there is no
@@ -105,6 +105,8 @@ def linearize(
     if not isinstance(model, Dae):
         raise UsageError(f"{model}: an FMU is linearized at one state; leave along out")
     given, inputs = options.get("start_values") or {}, options.get("inputs")
+    if name in given:
+        raise UsageError(f"{model.full_name}: {name} is in start_values and in along; give it once")
     if inputs is not None and name in inputs.names:
         raise UsageError(
             f"{model.full_name}: {name} follows a time series; leave the series or along out"
