@@ -210,7 +210,7 @@ def test_errors_beside_a_value_at_its_bound_are_those_with_this_value_known():
     measured, shape = noisy(6), np.exp(-TIMES)
     found = fit(DECAY, measured, {"k": (0.1, 1.0), "x": None})
     assert found.values["k"] == pytest.approx(1.0, rel=1e-5)
-    assert found.notes[0].startswith("k ends at its bound 1 and has no error")
+    assert found.notes[0].startswith("k ends at its bound 1 1/s and has no error")
     x = shape @ measured["x"] / (shape @ shape)
     left = np.linalg.norm(measured["x"] - x * shape)
     error = left / np.sqrt((len(TIMES) - 1) * (shape @ shape))
@@ -232,7 +232,15 @@ def test_the_bound_itself_is_named_although_the_value_ends_beside_it():
     """A constant is fitted best by the rate 0, where the least squares end close to the bound."""
     found = fit(DECAY, record({"x": np.ones_like(TIMES)}), {"k": (0.0, 0.5, 10.0)})
     assert found.values["k"] == pytest.approx(0, abs=1e-6)  # measured 2e-7
-    assert [note[:23] for note in found.notes] == ["k ends at its bound 0 a"]
+    assert [note[:27] for note in found.notes] == ["k ends at its bound 0 1/s a"]
+
+
+def test_a_bound_is_named_in_the_unit_of_the_value():
+    run = cosim.simulate("bar_on_frame", stop_time=1, outputs=["theta"])
+    pound = 1.3558179483314004  # N.m in a ft.lbf
+    found = fit("bar_on_frame", run, {"b": (0.1 * pound, pound)})
+    assert found.rows()[0]["value"] == "0.1"
+    assert found.notes[0].startswith("b ends at its bound 0.1 ft.lbf.s/rad and has no error")
 
 
 def test_rate_of_what_stays_at_zero_is_not_identified():
@@ -318,7 +326,8 @@ def test_fmu_whose_value_ends_at_its_bound_is_not_run_beyond_it(tmp_path):
         found.append(fit(path, record({"x": 2 + 0.01 * TIMES}), {"k": None, "x": None}))
     assert [one.values["k"] for one in found] == pytest.approx([0, 1.5], abs=1e-6)
     for one, bound in zip(found, ("0", "1.5"), strict=True):
-        assert [note[: len(bound) + 20] for note in one.notes] == [f"k ends at its bound {bound}"]
+        text = f"k ends at its bound {bound} 1/s"
+        assert [note[: len(text)] for note in one.notes] == [text]
     assert found[0].values["x"] == pytest.approx(2 + 0.01 * TIMES.mean(), rel=1e-6)
 
 

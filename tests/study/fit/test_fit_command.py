@@ -69,6 +69,24 @@ def test_command_takes_the_solver_of_a_scene_and_ends_series_of_what_it_sets(
     assert used == ["cvodes_adams"] * 2
 
 
+def test_command_begins_free_values_where_they_are_set(tmp_path, capsys, monkeypatch):
+    begun = []
+
+    def noted(*given, parameters, **settings):
+        begun.append(parameters)
+        return fit(*given, parameters=parameters, **settings)
+
+    monkeypatch.setattr("cosim.cli.verbs.fit.fit", noted)
+    cosim.simulate("crank_shaft", stop_time=0.1, outputs=["phi"]).to_csv(tmp_path / "data.csv")
+    scene = tmp_path / "fast.toml"
+    scene.write_text('model = "crank_shaft"\n[start]\nomega = 70.0\n')
+    words = ["fit", str(scene), str(tmp_path / "data.csv")]
+    assert main([*words, "--free", "omega,alpha", "-p", "alpha=4"]) == 0
+    assert begun == [{"omega": 70.0, "alpha": 4.0}]  # before: None, of the model
+    assert main([*words, "-p", "alpha=1:20", "-p", "alpha=4"]) == 2
+    assert "alpha is given twice" in capsys.readouterr().err
+
+
 def test_scene_of_a_fitted_model_of_the_user_names_its_file(tmp_path, capsys):
     (tmp_path / "own.py").write_text(OWN)
     (tmp_path / "d.csv").write_text("time,x\n0,2\n1,5\n2,8\n3,11\n")

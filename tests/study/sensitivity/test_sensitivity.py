@@ -147,9 +147,11 @@ def test_parameter_at_its_bound_is_varied_to_one_side():
         ({"with_respect_to": ["aplha"]}, UnknownName, "did you mean alpha"),
         ({"outputs": ["phii"]}, UnknownName, "did you mean phi"),
         ({"with_respect_to": []}, UsageError, "give a list of names"),
+        ({"solver": "ode4"}, UsageError, "ode4 has no error control; choose one of cvodes, "),
+        ({"solver": cosim.solvers.Dop853()}, UsageError, "give the name of a solver"),
     ],
 )
-def test_unknown_names_are_rejected(options, error, text):
+def test_unknown_names_and_solvers_are_rejected(options, error, text):
     with pytest.raises(error, match=text):
         sensitivity(cosim.load("crank_shaft"), **options)
 

@@ -9,6 +9,7 @@ from cosim.cli.arguments import (
     named_scene,
     names_in,
     start_numbers,
+    start_texts,
     value_in,
     value_of,
     with_values,
@@ -53,8 +54,11 @@ def run(args: argparse.Namespace) -> int:
         inputs, own = request.inputs, request.solver
         settings["solver"] = args.solver or (own.name if isinstance(own, AdaptiveSolver) else None)
         settings["relative_tolerance"] = request.relative_tolerance
-    unknowns: dict[str, Any] = dict.fromkeys(names_in(args.free)) if args.free else {}
+    free = names_in(args.free) if args.free else ()
+    unknowns: dict[str, Any] = {name: start.get(name) for name in free}
     for name, text in assigned("-p", ranges, _FORMS):
+        if name in dict(start_texts(args)):
+            raise UsageError(f"{name} is given twice; give it once")
         parts = text.split(":")
         reject_mixed_units(f"-p {name}", parts)
         unknowns[name] = tuple(value_of(dae, name, part) for part in parts)

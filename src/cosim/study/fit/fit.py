@@ -16,6 +16,7 @@ from cosim.model.values import MOST_SEED, number, whole
 from cosim.study.fit.result import Fit
 from cosim.study.fit.subject import Subject, subject_of
 from cosim.study.fit.unknowns import Unknowns
+from cosim.text import with_unit
 from cosim.trajectory import Trajectory
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
@@ -416,11 +417,14 @@ class _Problem:
         low, high = self.unknowns.low, self.unknowns.high
         x = self.unknowns.of_scaled(best.x)
         bounds = np.where(x - low <= high - x, low, high)
-        found = [
-            f"{self.unknowns.names[place]} ends at its bound {bounds[place]:.6g} and has no error; "
-            "those of other values hold for this one"
-            for place in np.flatnonzero(~best.free)
-        ]
+        found = list[str]()
+        for place in np.flatnonzero(~best.free):
+            column = self.unknowns.columns[place]
+            bound = with_unit(float(column.shown(bounds[place])), column.shown_unit)
+            found.append(
+                f"{column.name} ends at its bound {bound} and has no error; those of other values "
+                "hold for this one"
+            )
         return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
 
 

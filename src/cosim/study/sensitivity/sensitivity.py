@@ -28,7 +28,7 @@ from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as start_values_at
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.run import run
-from cosim.integrate.solvers import requested_solver
+from cosim.integrate.solvers import SOLVERS, requested_solver, solver_named
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import reduce
@@ -166,7 +166,8 @@ def sensitivity(
 
     Raises:
         UnknownName: A name does not exist.
-        UsageError: An input of `with_respect_to` follows a time series.
+        UsageError: An input of `with_respect_to` follows a time series; or the solver has no error
+            control.
         InitialConditionError: An initial value of `with_respect_to` is calculated from others.
         SolverError: A run failed, or the finite differences disagree.
 
@@ -194,7 +195,11 @@ def sensitivity(
     at = [float(numbers[target.kind][target.row]) for target in whole]
     sizes = {t.variable.name: abs(v) or t.variable.nominal for t, v in zip(whole, at, strict=True)}
     fallback = "rosenbrock" if dae.algebraics else "erk"
+    UsageError.reject("sensitivity: solver", solver, str | None, "the name of a solver")
     solver = solver or ("dop853" if has_compiler() else fallback)
+    if not solver_named(dae, solver).adaptive:
+        named = ", ".join(name for name, own in SOLVERS.items() if own.adaptive)
+        raise UsageError(f"sensitivity: {solver} has no error control; choose one of {named}")
     known = {v.name for v in (*small.states, *small.parameters, *small.inputs)}
     request = requested(
         small,
