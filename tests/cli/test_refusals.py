@@ -95,6 +95,7 @@ def refused(capsys, monkeypatch, tmp_path):
         ("plot bicycle", "there is no screen for a window; name a file with --output-file"),
         ("plot bicycle.fmu --output-file a.png --compare fmu", "an FMU has one backend only"),
         ("simulate bicycle.fmu --solver idas", "--solver is for models"),
+        ("fit bicycle.fmu record.csv --free g --solver idas", "--solver is for models"),
         ("simulate bicycle.fmu --backend native-interpreted", "--backend is for models"),
         ("simulate bicycle --timeout 0", "--timeout: 0 is not a positive time"),
         ("simulate bicycle.fmu -p phi=3deg", "phi = 3deg: give a number in the FMU's own unit"),

@@ -39,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     if args.model.lower().endswith(".fmu"):
         if args.output_file:
             raise UsageError("-o writes a scene or an FMU of a model; an FMU was given")
+        if args.solver:
+            raise UsageError("--solver is for models; an FMU has its own")
         require_trust(args.model, trusted=args.trust)
         start = start_numbers(args, dae)
     else:
