@@ -476,3 +476,15 @@ def test_accuracy_above_all_values_of_a_variable_names_it(coupled, accuracy, not
     note = run(accuracy=accuracy).stats.get("note") or ""
     assert ("more than all values of" in note) == noted
     assert ("charge (at most 5e-09)" in note) == noted
+
+
+@pytest.mark.parametrize("goal", [{"accuracy": 1e-6}, {"budget": 0.1}])
+def test_a_run_that_ends_before_the_model_s_own_span_fails_is_accurate(goal):
+    model = cosim.Model("blow_up", stop_time=2.0)
+    x = model.state("x", "m", 1.0, "infinite after 1 s")
+    model.derivative(x, x**2)
+    run = cosim.simulate(model.freeze(), stop_time=0.9, **goal)
+    error = np.abs(run["x"] - 1 / (1 - run.time)).max()
+    assert error < min(1e-6, run.stats["error_estimate"])  # measured 7.5e-10 and 3.1e-13
+    with pytest.raises(SolverError, match="stopped after 0.99 s"):
+        cosim.simulate(model.freeze(), **goal)

@@ -15,12 +15,13 @@ from time import perf_counter
 from casadi_models.dae import Dae
 from cosim.codegen.cache import content_of, store_if_possible
 from cosim.codegen.compiler import find_compiler
-from cosim.errors import CosimError
+from cosim.errors import CosimError, SolverError
 from cosim.integrate.outputs import all_columns
 from cosim.integrate.run import run
 from cosim.integrate.solvers import requested_solver
 from cosim.memo import digest_of
 from cosim.model.request import Policy, RunRequest
+from cosim.model.times import Times
 from cosim.study.pareto import pareto_front
 from cosim.verify.comparison import compare
 from cosim.verify.reference import Reference, reference, reference_key, rounding_errors
@@ -88,6 +89,22 @@ class Candidates:
             if candidate.solver not in without
         ]
         return pareto_front(compared, lambda c: c.work, lambda c: c.error)
+
+
+def candidates_of(request: RunRequest, *, compiled: bool, stiff: bool = False) -> Candidates:
+    """Return the candidates of the model of a request; see `measured_candidates`.
+
+    If the run with the model's own values and span fails, they are those of the request's, from
+    time 0 on.
+    """
+    dae = request.dae
+    try:
+        return measured_candidates(dae, compiled=compiled, stiff=stiff)
+    except SolverError:
+        own = replace(request, times=Times(*request.times.span(dae))).configured()
+        if own.digest == dae.digest:
+            raise
+        return measured_candidates(own, compiled=compiled, stiff=stiff)
 
 
 def measured_candidates(dae: Dae, *, compiled: bool, stiff: bool = False) -> Candidates:

@@ -20,7 +20,7 @@ from cosim.integrate.solvers import contains_time, default_solver, is_driven, re
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Tolerance
 from cosim.series.samples import below
-from cosim.study.accuracy.candidates import Candidate, Candidates, measured_candidates
+from cosim.study.accuracy.candidates import Candidate, Candidates, candidates_of
 from cosim.text import EndKind, one_note
 from cosim.trajectory import Trajectory
 from cosim.verify.comparison import Difference, compare
@@ -149,7 +149,7 @@ class _Chooser:
         if self.stiff or failure.ending.kind is not EndKind.TOO_MANY_STEPS:
             return self
         compiled = self.request.policy.compiled or False
-        found = measured_candidates(self.dae, compiled=compiled, stiff=True)
+        found = candidates_of(self.request, compiled=compiled, stiff=True)
         return replace(self, candidates=found, stiff=True)
 
     def cheapest_first(self, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
@@ -203,7 +203,7 @@ def accurate_run(request: RunRequest) -> Trajectory:
     if not dae.states:
         found = run(request)
         return _with_check(found, goal, ErrorCheck.exact(found))
-    chooser = _Chooser(request, measured_candidates(dae, compiled=chosen.compiled), names)
+    chooser = _Chooser(request, candidates_of(request, compiled=chosen.compiled), names)
     if goal.accuracy is not None:
         return _accurate_run(chooser, goal, goal.accuracy)
     assert goal.budget is not None
