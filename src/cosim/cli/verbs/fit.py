@@ -1,9 +1,11 @@
 """`cosim fit MODEL|SCENE.toml|FILE.fmu DATA.csv ...`: values that fit measurements."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from casadi_models.dae import Dae
 from cosim.cli.arguments import (
     assigned,
     named_scene,
@@ -56,14 +58,7 @@ def run(args: argparse.Namespace) -> int:
         inputs, own = request.inputs, request.solver
         settings["solver"] = args.solver or (own.name if isinstance(own, AdaptiveSolver) else None)
         settings["relative_tolerance"] = request.relative_tolerance
-    free = names_in(args.free) if args.free else ()
-    unknowns: dict[str, Any] = {name: start.get(name) for name in free}
-    for name, text in assigned("-p", ranges, _FORMS):
-        if name in dict(start_texts(args)):
-            raise UsageError(f"{name} is given twice; give it once")
-        parts = text.split(":")
-        reject_mixed_units(f"-p {name}", parts)
-        unknowns[name] = tuple(value_of(dae, name, part) for part in parts)
+    unknowns = _unknowns(args, dae, ranges, start)
     start = {name: value for name, value in start.items() if name not in unknowns}
     if inputs is not None:
         settings["inputs"] = inputs.only({*inputs.names} - unknowns.keys())
@@ -100,6 +95,21 @@ def run(args: argparse.Namespace) -> int:
     note(args, *found.unidentified, *found.notes)
     note(args, f"derivatives: {found.subject.derivatives}")
     return 0
+
+
+def _unknowns(
+    args: argparse.Namespace, dae: Dae | None, ranges: Sequence[str], start: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return what is fitted: `--free` from the values of a start on, `-p NAME=A:B` in ranges."""
+    free = names_in(args.free) if args.free else ()
+    found: dict[str, Any] = {name: start.get(name) for name in free}
+    for name, text in assigned("-p", ranges, _FORMS):
+        if name in dict(start_texts(args)):
+            raise UsageError(f"{name} is given twice; give it once")
+        parts = text.split(":")
+        reject_mixed_units(f"-p {name}", parts)
+        found[name] = tuple(value_of(dae, name, part) for part in parts)
+    return found
 
 
 def _written(found: Fit, target: str, scene: Scene) -> list[str]:
