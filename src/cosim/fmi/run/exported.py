@@ -4,12 +4,16 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+from cosim.codegen.fmu.solver import CO_SIMULATION_SOLVERS, FIXED_STEPS
 from cosim.errors import UsageError
+from cosim.fmi.export.options import FmuKeywords
 from cosim.fmi.export.package import export_fmu
+from cosim.fmi.run.description import Interface
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.host.temporary import temporary_folder
 from cosim.model.request import RunRequest
-from cosim.model.solver import Goal
+from cosim.model.solver import Goal, Solver
+from cosim.text import one_note
 from cosim.trajectory import Trajectory
 
 
@@ -17,9 +21,12 @@ def run(request: RunRequest, interface: str) -> Trajectory:
     """Export the model with the request's values, and simulate the FMU.
 
     Args:
-        request: What to compute. Of its solver only the tolerance and the longest step count: the
-            FMU, or the importer, has a solver of its own.
+        request: What to compute. Its solver becomes that of the FMU if FMUs for co-simulation have
+            it; of another one, only the tolerance and the longest step count.
         interface: "ModelExchange" or "CoSimulation".
+
+    Returns:
+        The run; `stats["note"]` names a solver that was not used.
 
     Raises:
         UsageError: The request has a goal, a stop condition or output times of its own.
@@ -36,10 +43,20 @@ def run(request: RunRequest, interface: str) -> Trajectory:
             f"{name}: stop_when, record_events and output_times are for native simulation; leave "
             "them out, or use the backend native"
         )
+    solver = request.solver.name if isinstance(request.solver, Solver) else None
+    known = (*CO_SIMULATION_SOLVERS, *FIXED_STEPS)
+    inside = interface == Interface.CO_SIMULATION and solver in known
+    options: FmuKeywords = {"max_step": request.max_step}
+    if inside:
+        options |= {"solver": solver, "step_size": getattr(request.solver, "step_size", None)}
     with temporary_folder() as folder:
         path = Path(folder) / "model.fmu"
-        export_fmu(request.configured(), path, max_step=request.max_step)
-        return run_file(request, path, interface)
+        export_fmu(request.configured(), path, **options)
+        found = run_file(request, path, interface)
+    if solver is None or inside:
+        return found
+    note = f"{solver} is for native simulation: the FMU, or its importer, has a solver of its own"
+    return replace(found, stats={**found.stats, "note": one_note(note, found.stats.get("note"))})
 
 
 def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:
