@@ -79,7 +79,7 @@ class Growth(NamedTuple):
         if followed:
             advice = f"ran with {own} up to {moment(closer.until, 6)} s, so that it is followed"
         else:
-            advice = f"it may be suppressed; give {own}"
+            advice = f"it may be suppressed: it needs {own}"
         return (
             f"from {moment(self.time, 6)} s on, a deviation of {self.size:.2g} nominal values of "
             f"{self.state} grows by e every {self.growth_time:.3g} s; {advice}"

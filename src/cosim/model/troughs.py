@@ -50,7 +50,7 @@ class Trough(NamedTuple):
         what = f"{self.state} shrinks to {self.size:.2g} nominal values at {moment(self.time, 6)} s"
         if followed:
             return f"{what}, and grows again; ran with {own}, so that its digits are controlled"
-        return f"{what}, and grows again with few of its digits; give {own}"
+        return f"{what}, and grows again with few of its digits; it needs {own}"
 
 
 def deepest_trough(

@@ -22,11 +22,8 @@ def run(request: RunRequest, interface: str) -> Trajectory:
 
     Args:
         request: What to compute. Its solver becomes that of the FMU if FMUs for co-simulation have
-            it; of another one, only the tolerance and the longest step count.
+            it; of another one, only the tolerance and the longest step count, and a note says so.
         interface: "ModelExchange" or "CoSimulation".
-
-    Returns:
-        The run; `stats["note"]` names a solver that was not used.
 
     Raises:
         UsageError: The request has a goal, a stop condition or output times of its own.
@@ -43,20 +40,18 @@ def run(request: RunRequest, interface: str) -> Trajectory:
             f"{name}: stop_when, record_events and output_times are for native simulation; leave "
             "them out, or use the backend native"
         )
-    solver = request.solver.name if isinstance(request.solver, Solver) else None
-    known = (*CO_SIMULATION_SOLVERS, *FIXED_STEPS)
-    inside = interface == Interface.CO_SIMULATION and solver in known
-    options: FmuKeywords = {"max_step": request.max_step}
-    if inside:
-        options |= {"solver": solver, "step_size": getattr(request.solver, "step_size", None)}
+    solver, options = request.solver, FmuKeywords(max_step=request.max_step)
+    unused = solver.name if isinstance(solver, Solver) else ""
+    if interface == Interface.CO_SIMULATION and unused in (*CO_SIMULATION_SOLVERS, *FIXED_STEPS):
+        options |= {"solver": unused, "step_size": getattr(solver, "step_size", None)}
+        unused = ""
     with temporary_folder() as folder:
         path = Path(folder) / "model.fmu"
         export_fmu(request.configured(), path, **options)
         found = run_file(request, path, interface)
-    if solver is None or inside:
-        return found
-    note = f"{solver} is for native simulation: the FMU, or its importer, has a solver of its own"
-    return replace(found, stats={**found.stats, "note": one_note(note, found.stats.get("note"))})
+    note = unused and f"{unused} is for native simulation: the FMU or its importer has another one"
+    note = one_note(note, found.stats.get("note"))
+    return replace(found, stats={**found.stats, "note": note}) if note else found
 
 
 def run_file(request: RunRequest, path: Path, interface: str) -> Trajectory:

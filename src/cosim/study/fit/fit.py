@@ -417,14 +417,12 @@ class _Problem:
         low, high = self.unknowns.low, self.unknowns.high
         x = self.unknowns.of_scaled(best.x)
         bounds = np.where(x - low <= high - x, low, high)
-        found = list[str]()
-        for place in np.flatnonzero(~best.free):
-            column = self.unknowns.columns[place]
-            bound = with_unit(float(column.shown(bounds[place])), column.shown_unit)
-            found.append(
-                f"{column.name} ends at its bound {bound} and has no error; those of other values "
-                "hold for this one"
-            )
+        found = [
+            f"{c.name} ends at its bound {with_unit(float(c.shown(bound)), c.shown_unit)} and has "
+            "no error; those of other values hold for this one"
+            for c, bound, free in zip(self.unknowns.columns, bounds, best.free, strict=True)
+            if not free
+        ]
         return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
 
 

@@ -28,7 +28,7 @@ from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as start_values_at
 from cosim.integrate.keywords import TimeKeywords, requested
 from cosim.integrate.run import run
-from cosim.integrate.solvers import SOLVERS, requested_solver, solver_named
+from cosim.integrate.solvers import requested_solver, solver_named
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import reduce
@@ -198,8 +198,7 @@ def sensitivity(
     UsageError.reject("sensitivity: solver", solver, str | None, "the name of a solver")
     solver = solver or ("dop853" if has_compiler() else fallback)
     if not solver_named(dae, solver).adaptive:
-        named = ", ".join(name for name, own in SOLVERS.items() if own.adaptive)
-        raise UsageError(f"sensitivity: {solver} has no error control; choose one of {named}")
+        raise UsageError(f"sensitivity: {solver} has no error control; choose another solver")
     known = {v.name for v in (*small.states, *small.parameters, *small.inputs)}
     request = requested(
         small,
