@@ -122,6 +122,26 @@ def test_restitution_of_a_bouncing_ball_is_found_through_its_impacts():
     assert found.values["restitution"] == pytest.approx(0.8, abs=1e-7)  # measured 1e-10
 
 
+@pytest.mark.parametrize("at_jump", [True, False])
+def test_a_measurement_at_a_jump_is_named(at_jump):
+    """x = k t, and y jumps where x exceeds 1: at t = 1 +- the error of k."""
+    model = cosim.Model("switch", stop_time=2.0)
+    x, k = model.state("x", "m", 0.0, "way"), model.parameter("k", "m/s", 0.9, "speed")
+    y = model.discrete("y", "m", 0.0, "whether the way is long")
+    model.derivative(x, k)
+    model.when(x > 1, {y: 1.0}, name="far")
+    times = np.linspace(0, 2, 21) + (0 if at_jump else 0.05)
+    noise = 0.01 * np.random.default_rng(1).normal(size=21)
+    measured = {"x": times + noise, "y": (times >= 1) * 1.0}
+    columns = (Column("x", "m"), Column("y", "m"))
+    record = cosim.Trajectory("r", times, columns, np.transpose([*measured.values()]))
+    found = fit(model.freeze(), record, {"k": (0.9, 1.02, 1.1)}, noise={"x": 0.01, "y": 0.01})
+    assert found.values["k"] == pytest.approx(1, abs=0.01)
+    jumps = [note for note in found.notes if note.startswith("a jump comes before or after 1 meas")]
+    assert len(jumps) == at_jump
+    assert not at_jump or "the first at 1 s" in jumps[0]
+
+
 @pytest.mark.slow
 def test_product_of_two_values_is_identified_and_not_its_factors():
     y = record({"y": 6.0 * np.exp(-2.0 * TIMES)})

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, TypedDict, Unpack
 
@@ -16,7 +17,7 @@ from cosim.model.values import MOST_SEED, number, whole
 from cosim.study.fit.result import Fit
 from cosim.study.fit.subject import Subject, subject_of
 from cosim.study.fit.unknowns import Unknowns
-from cosim.text import with_unit
+from cosim.text import counted, with_unit
 from cosim.trajectory import Trajectory
 
 LOSSES = ("linear", "soft_l1", "huber", "cauchy", "arctan")
@@ -380,7 +381,11 @@ class _Problem:
             reach=reach,
             rank=rank,
             unidentified=self._not_identified(free, lost),
-            notes=(*notes, *self._late(), *self._at_bounds(best)),
+            notes=(
+                *(*notes, *self._late()),
+                *self._at_jumps(best.x, np.sqrt(np.diag(covariance)) * relative, runs),
+                *self._at_bounds(best),
+            ),
             noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
             samples=self.samples,
             start_values=self.fixed,
@@ -413,6 +418,28 @@ class _Problem:
             if record.time[0] > record.time[-1] - record.time[0]
         ]
 
+    def _at_jumps(self, x: Vector, errors: Vector, runs: Sequence[Trajectory]) -> list[str]:
+        """Return a sentence on measurements that a jump passes by within the errors of the values.
+
+        There, the residuals have no slope, and the minimizer may end.
+        """
+        passed = set[float]()
+        for i, (record, run) in enumerate(zip(self.records, runs, strict=True)):
+            before = _jumps_before(run, record.time)
+            for step in np.diag(errors)[np.isfinite(errors) & before.any()]:
+                for near in (x - step, x + step):
+                    with suppress(SolverError, InitialConditionError):
+                        other = self.subject.run(self.values(near, i), record.names, record.time)
+                        after = _jumps_before(other, other.time)
+                        passed |= {*other.time[after != before[: len(after)]]}
+        if not passed:
+            return []
+        which = f"{counted(len(passed), 'measurement')}, the first at {min(passed):.6g} s"
+        return [
+            f"a jump comes before or after {which}, depending on values within their errors, which "
+            "may have stopped the fit there; leave measurements at jumps out"
+        ]
+
     def _at_bounds(self, best: _Solution) -> list[str]:
         low, high = self.unknowns.low, self.unknowns.high
         x = self.unknowns.of_scaled(best.x)
@@ -424,6 +451,12 @@ class _Problem:
             if not free
         ]
         return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
+
+
+def _jumps_before(run: Trajectory, times: Vector) -> Vector:
+    """Return at how many events before each time a variable of a run has jumped, (n,)."""
+    jumps = [e.time for e in run.events if any(e.before[n] != e.after[n] for n in run.names)]
+    return np.searchsorted(jumps, times, side="right")
 
 
 EPS = 1e-12  # least noise of an output, in its size, so that exact records have weights
