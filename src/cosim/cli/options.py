@@ -113,6 +113,8 @@ def _file_name(endings: Sequence[str], drawn: bool) -> Callable[[str], str]:
     """
 
     def checked(name: str) -> str:
+        if name == "-":
+            raise argparse.ArgumentTypeError("- names no file; leave the option out to print")
         ending = Path(name).suffix.lower()
         if (ending or name.endswith(".")) and ending not in endings:  # Python 3.14 calls it "."
             hint = f", or draw with --figure {name}" if drawn and ending in _PICTURES else ""
