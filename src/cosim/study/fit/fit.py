@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from casadi_models.dae import Dae
-from cosim.arrays import Truths, Vector
+from cosim.arrays import Integers, Truths, Vector
 from cosim.errors import InitialConditionError, ParameterError, SolverError, UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.model.inputs import InputSeries
@@ -453,7 +453,7 @@ class _Problem:
         return [f"the fit did not converge: {best.missing}", *found] if best.missing else found
 
 
-def _jumps_before(run: Trajectory, times: Vector) -> Vector:
+def _jumps_before(run: Trajectory, times: Vector) -> Integers:
     """Return at how many events before each time a variable of a run has jumped, (n,)."""
     jumps = [e.time for e in run.events if any(e.before[n] != e.after[n] for n in run.names)]
     return np.searchsorted(jumps, times, side="right")
