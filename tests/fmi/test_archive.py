@@ -106,6 +106,19 @@ def test_limit_of_the_unpacked_size_can_be_chosen(tmp_path):
         assert (folder / "large.bin").stat().st_size == 2000
 
 
+def test_what_no_run_reads_stays_packed(tmp_path):
+    """Most files of an FMU are headers: to unpack them took longer than many runs."""
+    read = {DESCRIPTION, "resources/a.h", "resources/documentation/a", "sources/a.c", "a.h"}
+    never = {"documentation/index.html", "sources/a.h", "sources/more/a.h"}
+    path = archive(
+        tmp_path / "a.fmu", *((name, b"") for name in sorted(never | read - {DESCRIPTION}))
+    )
+    for to_run, wanted in ((True, read), (False, read | never)):
+        with unpacked(path, to_run=to_run) as folder:
+            files = [file for file in folder.rglob("*") if file.is_file()]
+            assert {file.relative_to(folder).as_posix() for file in files} == wanted
+
+
 def test_too_many_entries_are_refused(tmp_path, temporary):
     path = archive(tmp_path / "many.fmu", *((str(i), b"") for i in range(10_001)))
     assert "10002 entries" in refused(path, temporary)

@@ -153,7 +153,7 @@ def _of_model(dae: Dae) -> dict[str, Variable]:
 
 
 def _of_fmu(path: Path) -> dict[str, Variable]:
-    with unpacked(path) as folder:
+    with unpacked(path, to_run=True) as folder:
         description = with_elements(read_description(folder, path))
     if description.coSimulation is None and description.modelExchange is None:
         raise UsageError(

@@ -1,12 +1,13 @@
 """FMU archives: opened and unpacked safely; flat names of variables with structured names."""
 
 import os
+import re
 import stat
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
@@ -42,6 +43,7 @@ MOST_XML_DEPTH = 64
 DESCRIPTION = "modelDescription.xml"
 SYSTEM_DESCRIPTION = "SystemStructure.ssd"
 _READ_BY_TOOLS = (DESCRIPTION, "sources/buildDescription.xml")
+_READ_BY_NO_RUN = re.compile(r"documentation/|sources/.*\.h$")
 
 _KINDS = {DESCRIPTION: "an FMU", SYSTEM_DESCRIPTION: "an SSP file"}
 Source = str | os.PathLike[str] | BinaryIO
@@ -87,20 +89,20 @@ def opened(
 
 
 @contextmanager
-def unpacked(
-    source: Source, *, most_bytes: int = MOST_BYTES, description: str = DESCRIPTION
-) -> Iterator[Path]:
+def unpacked(source: Source, *, to_run: bool = False, **options: Any) -> Iterator[Path]:
     """Unpack an FMU, or an SSP file, into a folder that is gone afterwards.
+
+    Args:
+        source, options: See `opened`.
+        to_run: Whether to leave out what no run reads: documentation and C headers.
 
     Raises:
         FmuError, SecurityError: See `opened`.
     """
-    with (
-        opened(source, most_bytes=most_bytes, description=description) as archive,
-        fmu_folder() as folder,
-    ):
+    with opened(source, **options) as archive, fmu_folder() as folder:
         try:
-            archive.extractall(folder)
+            names = (n for n in archive.namelist() if not (to_run and _READ_BY_NO_RUN.match(n)))
+            archive.extractall(folder, names)
         except Exception as error:  # of any decoder
             reason = why_unreadable(error)
             cure = "; make room, or set TMPDIR" if isinstance(error, OSError) else ""

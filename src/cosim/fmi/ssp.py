@@ -239,7 +239,7 @@ def _described(path: str | os.PathLike[str]) -> tuple[Any, dict[str, Any]]:
     """Return fmpy's model description with elements, and variables by name and by flat name."""
     from fmpy import read_model_description
 
-    with unpacked(path) as folder:
+    with unpacked(path, to_run=True) as folder:
         try:
             description = with_elements(read_model_description(str(folder), validate=False))
             flat = flat_names(ET.parse(folder / DESCRIPTION).getroot())

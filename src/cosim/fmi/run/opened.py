@@ -77,7 +77,7 @@ class OpenedFmu:
     def __init__(self, path: str | os.PathLike[str], interface: str | None = None) -> None:
         self.path = path
         with ExitStack() as opening:
-            self._folder = opening.enter_context(unpacked(path))
+            self._folder = opening.enter_context(unpacked(path, to_run=True))
             self.description = with_elements(read_description(self._folder, path))
             self.interface = choose_interface(self._folder, self.description, interface, path)
             self._open = opening.pop_all()  # which stays open, as nothing has failed
@@ -194,7 +194,8 @@ class OpenedFmu:
         if not self.is_own or (self._instance and self._instance[0].fatal.value):
             self._drop()
         if self._is_spoilt:
-            self._folder, self._is_spoilt = self._open.enter_context(unpacked(self.path)), False
+            self._folder = self._open.enter_context(unpacked(self.path, to_run=True))
+            self._is_spoilt = False
         if self._instance is None:
             self._instance = self.instance(self._live)
         else:
@@ -264,11 +265,8 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
     """
     description, points = request.description, request.points
     exchange = request.interface is Interface.MODEL_EXCHANGE
-    library = _library(
-        description.numberOfContinuousStates if exchange else 0,
-        description.numberOfEventIndicators if exchange else 0,
-        exchange,
-    )
+    sizes = description.numberOfContinuousStates, description.numberOfEventIndicators
+    library = _library(*sizes) if exchange else _library()
     initialize(instance, description, request.values, **request.experiment)
     rows = np.empty((len(points), len(request.recorded)))
     recording = calls.recording(request.recorded, rows)
@@ -308,10 +306,10 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
 
 
 @cached_per_thread(8)
-def _library(states: int, indicators: int, exchange: bool) -> ctypes.CDLL:
+def _library(*sizes: int) -> ctypes.CDLL:
     text = master_source("co_simulation.h")
-    if exchange:
-        sizes = f"#define NX {max(states, 1)}\n#define NZ {max(indicators, 1)}\n"
-        coefficients = dop853_coefficients().replace('#include "dop853.h"\n', "")
-        text = sizes + master_source("model_exchange.h") + coefficients
+    if sizes:
+        states, indicators = (max(size, 1) for size in sizes)
+        text = f"#define NX {states}\n#define NZ {indicators}\n{master_source('model_exchange.h')}"
+        text += dop853_coefficients().replace('#include "dop853.h"\n', "")
     return ctypes.CDLL(str(cached_library(f"master {text}", lambda: text)))

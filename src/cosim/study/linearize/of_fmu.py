@@ -44,7 +44,7 @@ def linearized_fmu(
         FmuError: It is no FMU for model exchange, or has no directional derivatives, or failed.
         UnknownName, UsageError: A variable does not exist or cannot be set.
     """
-    with unpacked(path) as folder:
+    with unpacked(path, to_run=True) as folder:
         description = read_description(folder, path)
         choose_interface(folder, description, "ModelExchange", path)
         if not description.modelExchange.providesDirectionalDerivative:
