@@ -1,6 +1,7 @@
 """fmpy's instance of an unpacked FMU: created, initialized, and with errors that say why."""
 
 import ctypes
+import inspect
 import os
 import re
 import sys
@@ -299,9 +300,10 @@ def _checked_class(second: bool, exchange: bool) -> type:
             raise AttributeError(name)
         return getattr(self, _METHODS_OF_FMI_2[name])
 
-    methods = {"_call": checked_call, "freeInstance": free}
-    if second:
-        methods |= {"doStep": step_as_in_fmi_3, "__getattr__": method_of_fmi_3}
+    of_second = {"doStep": step_as_in_fmi_3, "__getattr__": method_of_fmi_3}
+    methods = {"_call": checked_call, "freeInstance": free, **(of_second if second else {})}
+    for _, function in inspect.getmembers(base, inspect.isfunction):
+        vars(function)["__signature__"] = inspect.signature(function)  # else derived each time
     bases = (base,) if sys.platform == "win32" else (base, _staying_class())
     return type(name, bases, methods)  # fmpy reads the version from the name
 
