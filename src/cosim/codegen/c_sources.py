@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable
+from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -13,11 +14,16 @@ from cosim.errors import CacheError
 _INCLUDE = re.compile(r'^#include "(.+)"\n', re.MULTILINE)
 
 
+@cache
+def _sources_in(*folders: str) -> tuple[Traversable, ...]:
+    entries = (e for folder in folders for e in (files("cosim._fmu") / folder).iterdir())
+    found = (entry for entry in entries if entry.name.endswith((".c", ".h")))
+    return tuple(sorted(found, key=lambda entry: entry.name))
+
+
 def runtime_sources() -> tuple[Traversable, ...]:
     """Return the C sources and headers of the FMU runtime, by name."""
-    folder = files("cosim._fmu") / "runtime"
-    found = (entry for entry in folder.iterdir() if entry.name.endswith((".c", ".h")))
-    return tuple(sorted(found, key=lambda entry: entry.name))
+    return _sources_in("runtime")
 
 
 def license_texts() -> tuple[Traversable, ...]:
@@ -27,12 +33,10 @@ def license_texts() -> tuple[Traversable, ...]:
 
 def solver_sources() -> tuple[Traversable, ...]:
     """Return the headers of the explicit solvers and of the kernel of events, by name."""
-    folder = files("cosim._fmu") / "solvers"
-    entries = (*folder.iterdir(), *(folder / "hybrid").iterdir())
-    found = (entry for entry in entries if entry.name.endswith(".h"))
-    return tuple(sorted(found, key=lambda entry: entry.name))
+    return _sources_in("solvers", "solvers/hybrid")
 
 
+@cache
 def solver_source(*names: str) -> str:
     """Return headers of the explicit solvers, e.g. "dop853.h", with their includes, as one text."""
     return _unfolded(solver_sources(), names)
@@ -43,10 +47,10 @@ def source_text(path: str) -> str:
     return (files("cosim._fmu") / path).read_text(encoding="utf-8")
 
 
+@cache
 def master_source(*names: str) -> str:
     """Return headers of the FMU master, e.g. "co_simulation.h", with their includes."""
-    own = (e for e in (files("cosim._fmu") / "master").iterdir() if e.name.endswith(".h"))
-    return _unfolded((*solver_sources(), *own), names)
+    return _unfolded(_sources_in("solvers", "solvers/hybrid", "master"), names)
 
 
 def _unfolded(headers: Iterable[Traversable], names: Iterable[str]) -> str:

@@ -18,6 +18,7 @@ from cosim.fmi.export.variables import VALID, FmuVariable, Role, units_of_rates
 from cosim.model.reduction import Pattern
 
 _FAR = 1e9
+_GENERATOR = f"cosim-rigid {version('cosim-rigid')}"
 
 
 def model_description(plan: Plan, sources: Sequence[str]) -> ET.Element:
@@ -28,7 +29,7 @@ def model_description(plan: Plan, sources: Sequence[str]) -> ET.Element:
         "description": dae.description,
         "version": "1",
         **{ABOUT[key]: text for key, text in (plan.options.about or {}).items()},
-        "generationTool": f"cosim-rigid {version('cosim-rigid')}",
+        "generationTool": _GENERATOR,
         "variableNamingConvention": "structured",
     }
     own = {"fmiVersion": dialect.version, dialect.token: ""}
