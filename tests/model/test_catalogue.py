@@ -11,6 +11,7 @@ import casadi_models
 import cosim
 from cosim.cli.main import main
 from cosim.errors import UnknownName, UsageError
+from cosim.model.catalogue import loaded
 
 HEAD = """
 import casadi as ca
@@ -18,6 +19,16 @@ from casadi_models.dae import Model
 
 def build():
 """
+
+
+def test_a_model_of_the_catalogue_is_built_once_but_what_a_file_holds_may_change(written):
+    assert loaded("crank_shaft") is loaded("crank_shaft")
+    assert cosim.load("crank_shaft") is not loaded("crank_shaft")  # its own
+    body = "model = Model('{}')\nmodel.output('y', '1', 1.0, 'y')\nreturn model.freeze()"
+    name = written(body.format("one"))
+    assert loaded(name).name == "one"
+    written(body.format("another"))
+    assert loaded(name).name == "another"
 
 
 @pytest.fixture

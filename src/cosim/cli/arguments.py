@@ -12,7 +12,7 @@ from casadi_models.dae import Dae
 from cosim.backend import Backend
 from cosim.errors import ParameterError, UsageError
 from cosim.integrate.keywords import requested
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.driving import with_laws
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity, reject_mixed_units
@@ -118,11 +118,9 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def named_scene(name: str) -> Scene:
     """Return a model as a scene without settings, or a scene by its file."""
-    return (
-        read_scene(name)
-        if name.lower().endswith(".toml")
-        else Scene(name, RunRequest(load(name)), model=name)
-    )
+    if name.lower().endswith(".toml"):
+        return read_scene(name)
+    return Scene(name, RunRequest(loaded(name)), model=name)
 
 
 def start_texts(args: argparse.Namespace) -> list[tuple[str, str]]:

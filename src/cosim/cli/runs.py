@@ -36,7 +36,7 @@ from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.typed_values import REALS, series_value
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.inputs import read_inputs
 from cosim.model.quantities import quantity, reject_mixed_units
 from cosim.model.request import RunRequest, choice
@@ -202,7 +202,7 @@ def runs_of(
     for source in args.sources:
         if source.lower().endswith(".csv"):
             model = args.shown_model
-            like = None if model is None else model_columns(load(model))
+            like = None if model is None else model_columns(loaded(model))
             runs.append(Trajectory.read_csv(source, like=like))
             scenes.append(None)
             continue

@@ -146,6 +146,11 @@ _A_MODEL = "a model's name, or a Dae, as cosim.load or cosim.from_casadi returns
 _of_the_catalogue = cached_per_thread(16)(load)
 
 
+def loaded(name: str) -> Dae:
+    """Return what `load` builds; a model of the catalogue is built once in each thread."""
+    return _of_the_catalogue(name) if type(name) is str and "." not in name else load(name)
+
+
 def model_of(caller: str, model: Dae | str) -> Dae:
     """Return a model, also by its name; one of the catalogue is built once.
 
@@ -156,7 +161,7 @@ def model_of(caller: str, model: Dae | str) -> Dae:
     from casadi_models.dae import Dae
 
     if isinstance(model, str):
-        return load(model) if ".py:" in model else _of_the_catalogue(model)
+        return loaded(model)
     UsageError.reject(caller, model, Dae, _A_MODEL)
     return model
 
@@ -195,7 +200,7 @@ def no_such_output(dae: Dae, name: str) -> UnknownName:
     """Return the error for an output that a model lacks; it names a formulation that has it."""
     for entry in casadi_models.CATALOG:
         other = entry != dae.full_name and entry.partition("/")[0] == dae.name
-        if other and name in observable(casadi_models.load(entry)):
+        if other and name in observable(loaded(entry)):
             return UnknownName(f"{dae.full_name} does not compute '{name}'; {entry} does")
     return UnknownName.of_model(dae.full_name, "output", name, observable(dae))
 
@@ -232,7 +237,7 @@ def models() -> Table:
 
 def facts_of(name: str) -> dict[str, Any]:
     """Return the row of a formulation from its model."""
-    dae = load(name)
+    dae = loaded(name)
     return {
         "states": len(dae.states),
         "algebraics": len(dae.algebraics),

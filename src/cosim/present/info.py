@@ -15,7 +15,7 @@ from cosim.fmi.check.parsed import Described, parse
 from cosim.fmi.run.typed_values import NUMERIC
 from cosim.integrate.passed_over import watched_terms
 from cosim.integrate.validity import inspect_start
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.scene.scene import Scene
 from cosim.scene.scene_file import read_scene
 from cosim.text import MOST_LINES, html_table, text_table
@@ -111,7 +111,7 @@ def info(source: str | os.PathLike[str] | Dae | Scene) -> Info:
         source = read_scene(source)
     if isinstance(source, Scene):
         return _of_scene(source)
-    return _of_model(source if isinstance(source, Dae) else load(source))
+    return _of_model(source if isinstance(source, Dae) else loaded(source))
 
 
 def _of_scene(scene: Scene) -> Info:

@@ -10,7 +10,7 @@ from cosim.coupling.files import is_system, read_system
 from cosim.errors import UnknownName, UsageError
 from cosim.integrate.keywords import Keywords, requested
 from cosim.integrate.solvers import SOLVERS
-from cosim.model.catalogue import load, no_such_output, observable
+from cosim.model.catalogue import loaded, no_such_output, observable
 from cosim.model.inputs import InputSeries, read_inputs
 from cosim.model.quantities import quantity
 from cosim.model.request import RunRequest
@@ -122,7 +122,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     file.reject_unknown((), file.data, _KEYS)
     model = _model_name(file)
     with file.naming("model"):
-        dae = load(model)
+        dae = loaded(model)
     request = _request(file, dae)
     figures = read_figures(file, dae, request.outputs or ())
     title = _text(file, "title") if "title" in file.data else ""

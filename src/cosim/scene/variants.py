@@ -7,7 +7,7 @@ from dataclasses import replace
 from cosim.backend import Backend
 from cosim.errors import UnknownName
 from cosim.integrate.solvers import SOLVERS, requested_solver, solver_named
-from cosim.model.catalogue import formulations, load, no_such_output, observable
+from cosim.model.catalogue import formulations, loaded, no_such_output, observable
 from cosim.model.request import RunRequest
 from cosim.model.solver import AdaptiveSolver, Goal, Solver
 
@@ -56,7 +56,7 @@ def in_formulation(request: RunRequest, model: str) -> RunRequest:
     Raises:
         UnknownName: The formulation lacks an output of the request, or a value that it sets.
     """
-    dae, solver = load(model), request.solver
+    dae, solver = loaded(model), request.solver
     for name in request.outputs or ():
         if name not in observable(dae):
             raise no_such_output(dae, name)

@@ -18,7 +18,7 @@ from cosim.fmi.run.exported import run_file
 from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.run import run as execute
-from cosim.model.catalogue import formulations, load
+from cosim.model.catalogue import formulations, loaded
 from cosim.model.request import Policy, RunRequest
 from cosim.model.solver import LEAST_RELATIVE, Tolerance
 from cosim.model.times import Times
@@ -184,7 +184,7 @@ def _members(item: Subject) -> Iterator[RunRequest]:
     """Yield a request for each formulation of an item."""
     if isinstance(item, str):
         names = (item,) if "/" in item or ".py:" in item else formulations(item)
-        yield from (RunRequest(load(name)) for name in names)
+        yield from (RunRequest(loaded(name)) for name in names)
         return
     if isinstance(item, System):
         yield RunRequest(item.dae)

@@ -10,7 +10,7 @@ from cosim.cli.runs import runs_of, scene_or_none, single, size_of
 from cosim.cli.tables import note, report_files
 from cosim.errors import UsageError
 from cosim.integrate.solvers import contains_time
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.driving import with_tables
 from cosim.plotting import reject_pixels
 from cosim.present.playback.animate import (
@@ -56,7 +56,7 @@ def _runs(args: argparse.Namespace) -> tuple[list[Trajectory], int]:
     runs, _, code = runs_of(args, everything=args.outputs is None)
     if any(run.drawing is None for run in runs):  # of an FMU, or of a result
         model = args.shown_model
-        values = start_numbers(args, None if model is None else load(model))
+        values = start_numbers(args, None if model is None else loaded(model))
         known = [{**(run.numbers or {}), **values} for run in runs]
         runs = [replace(run, numbers=own) for run, own in zip(runs, known, strict=True)]
     return runs, code

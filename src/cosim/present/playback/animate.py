@@ -36,7 +36,7 @@ from cosim.fmi.platforms import WEB_PAGE
 from cosim.host.optional_packages import optional_module
 from cosim.host.progress import doing
 from cosim.host.temporary import temporary_folder
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.request import choice
 from cosim.model.values import number
 from cosim.plotting import picture, reject_pixels
@@ -271,15 +271,14 @@ def drawing_of(run: Trajectory, model: Dae | str | None = None) -> Drawing:
     if run.drawing is not None:
         return run.drawing
     if model is None:
-        model = next((n for n in casadi_models.CATALOG if n.replace("/", "_") == run.model), None)
-        if any(run.model in (entry, entry.partition("/")[0]) for entry in casadi_models.CATALOG):
-            model = model or run.model
+        names = ((n, n.replace("/", "_"), n.partition("/")[0]) for n in casadi_models.CATALOG)
+        model = next((same[0] for same in names if run.model in same), None)
     if model is None:
         raise UsageError(
             f"{run.model}: no model of this name has shapes to draw; name the model, "
             "with model= or --model MODEL"
         )
-    dae = load(model) if isinstance(model, str) else model
+    dae = loaded(model) if isinstance(model, str) else model
     own = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.inputs)}
     if run.numbers is None and own:
         warn(
@@ -301,7 +300,7 @@ def guessed_model(paths: Sequence[str]) -> str:
             raise UsageError(f"{path} is no result of a run: {error}") from error
     fitting = []
     for model in dict.fromkeys(entry.partition("/")[0] for entry in casadi_models.CATALOG):
-        dae = load(model)
+        dae = loaded(model)
         known = names | {v.name for v in (*dae.parameters, *dae.inputs)}
         drawing = dae.drawing
         used = [expression for b in drawing.bodies for expression in (b.place, ca.vec(b.rotation))]

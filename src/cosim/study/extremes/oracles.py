@@ -1,7 +1,7 @@
 """Errors of extreme cases, measured against closed forms, invariants and independent runs."""
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache, lru_cache
+from functools import lru_cache
 from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -14,10 +14,9 @@ from cosim.errors import CosimError, InitialConditionError, SolverError, Unknown
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run as execute
 from cosim.integrate.solvers import SOLVERS
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.trajectory import Trajectory
 
-_model_of = cache(load)
 OUTCOMES = ("accurate", "refused", "failed", "silent", "unverified", "hang", "crash")
 
 
@@ -62,7 +61,7 @@ def _run(
 ) -> Trajectory:
     fixed_steps = how.solver is not None and not SOLVERS[how.solver].adaptive
     request = requested(
-        _model_of(how.model),
+        loaded(how.model),
         stop_time=stop_time,
         output_interval=stop_time / points,
         solver=how.solver,
@@ -105,7 +104,7 @@ def _assess(case: Case, runner: Runner) -> tuple[str, float | None, str]:
 
 def _crank(case: Case, run: Trajectory) -> float:
     """Closed form at constant acceleration; bearing loads by Unit 7, Example 1."""
-    dae = _model_of(case.model)
+    dae = loaded(case.model)
     given = {v.name: v.start or 0.0 for v in (*dae.parameters, *dae.states)} | dict(case.values)
     length, alpha, start = given["segment_length"], given["alpha"], given["omega"]
     mass = given["density"] * np.pi / 4 * given["diameter"] ** 2 * length  # of a segment
@@ -158,7 +157,7 @@ def _against_reference(case: Case, run: Trajectory) -> float:
     true = _reference(case.references, case.stop_time, case.points, values)
     if isinstance(true, str):
         raise SolverError(f"no reference: {true}")
-    own = {name for model in (run.model, true.model) for name in _model_of(model).own_meanings}
+    own = {name for model in (run.model, true.model) for name in loaded(model).own_meanings}
     names = [name for name in run.names if name in true.names and name not in own]
     return _largest(_relative(run[n], true[n], run.column(n).nominal) for n in names)
 

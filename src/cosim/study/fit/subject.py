@@ -16,7 +16,7 @@ from cosim.fmi.run.request import column_of
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.reduction import checked_outputs
 from cosim.model.values import settable_variable
 from cosim.study.sensitivity.sensitivity import sensitivity
@@ -164,4 +164,4 @@ def subject_of(model: Dae | str | os.PathLike[str], settings: Mapping[str, Any])
         return ModelSubject(model, settings)
     if str(model).lower().endswith(".fmu"):
         return FmuSubject(str(model), settings)
-    return ModelSubject(load(str(model)), settings, str(model))
+    return ModelSubject(loaded(str(model)), settings, str(model))

@@ -13,7 +13,7 @@ from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as consistent_start
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs
 from cosim.model.solver import Solver, Tolerance
@@ -96,7 +96,7 @@ def linearize(
         2
     """
     if isinstance(model, str) and not model.lower().endswith(".fmu"):
-        model = load(model)
+        model = loaded(model)
     if along is None:
         return _linearized(model, **options)
     if not isinstance(along, Mapping) or len(along) != 1:

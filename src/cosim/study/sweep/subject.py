@@ -28,7 +28,7 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.integrate.solvers import chosen_solver
 from cosim.memo import digest_of
-from cosim.model.catalogue import load
+from cosim.model.catalogue import loaded
 from cosim.model.request import RunRequest
 from cosim.model.solver import Goal, Solver
 from cosim.model.start_outputs import overriding
@@ -211,11 +211,10 @@ class FmuSubject:
         def simulate(row: dict[str, float]) -> Trajectory:
             options = {"start_values": row, "outputs": outputs, **taken}
             with self._one_at_a_time:
-                run = (
-                    run_apart(self._path, **options)
-                    if self._apart
-                    else self._fmu.run(self._fmu.request(**options))
-                )
+                if not self._apart:
+                    run = self._fmu.run(self._fmu.request(**options))
+                else:
+                    run = run_apart(self._path, **options)
             if len(run) != len(time) and "stop" not in run.stats:
                 raise FmuError(f"it recorded {len(run)} of {len(time)} output times")
             note = {"invalid": (run.stats["note"],)} if "note" in run.stats else {}
@@ -257,6 +256,6 @@ def open_subject(subject: Any, *, apart: bool = False) -> Subject:
                     "tolerance"
                 )
             return ModelSubject(scene.request.reduced())
-        return ModelSubject(RunRequest(load(name)))
+        return ModelSubject(RunRequest(loaded(name)))
     expected = "a model's name, a Dae, SCENE.toml or FILE.fmu"
     raise UsageError.of_type("sweep", subject, expected)

@@ -16,7 +16,7 @@ from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import Keywords
 from cosim.integrate.run import run as execute
 from cosim.integrate.solvers import SOLVERS
-from cosim.model.catalogue import load, observable
+from cosim.model.catalogue import loaded, observable
 from cosim.model.reduction import size
 from cosim.model.request import Policy, RunRequest
 from cosim.model.values import whole
@@ -200,7 +200,7 @@ def tradeoff(
 def _named_request(subject: object) -> tuple[str, RunRequest]:
     """Return a name and a request without solver and policy, which the study varies."""
     if isinstance(subject, str):
-        return subject, RunRequest(load(subject))
+        return subject, RunRequest(loaded(subject))
     name = subject.name if isinstance(subject, Scene) else ""
     request = subject.request if isinstance(subject, Scene) else subject
     if not isinstance(request, RunRequest):
