@@ -248,6 +248,7 @@ def test_completion_names_verbs_and_options(shell, capsys):
     text = capsys.readouterr().out
     assert "crosscheck" in text
     assert "stop-when" in text
+    assert "what to do" not in command_line().format_help()  # of the script alone
     if shell == "bash":
         check = subprocess.run(
             ["bash", "-n"], input=text, text=True, capture_output=True, check=False

@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ class CommandLine(Parser):
         return super().parse_known_args(words, namespace)
 
 
+@cache
 def command_line() -> CommandLine:
     """Return the parser of all verbs."""
     parser = CommandLine(
@@ -122,7 +124,7 @@ class PrintCompletion(argparse.Action):
             near = did_you_mean(shell, shtab.SUPPORTED_SHELLS)
             names = near or f"; give one of {', '.join(shtab.SUPPORTED_SHELLS)}"
             parser.exit(3, f"cosim: no shell '{shell}'{names}\n")
-        whole = command_line()
+        whole = command_line.__wrapped__()
         for action in (a for p in (whole, *whole.verbs().values()) for a in p._actions):
             if isinstance(action, argparse._SubParsersAction):
                 action.help = "what to do"  # hidden actions are not completed
