@@ -1,5 +1,6 @@
 """Parameters, states, names, units and sizes of all formulations of the bar on a frame."""
 
+from functools import partial
 from math import pi
 from typing import NamedTuple
 
@@ -85,10 +86,7 @@ def motion(model: Model) -> Motion:
 
 def data(model: Model) -> Data:
     """Declare parameters and input."""
-
-    def size(name: str, unit: str, value: float, meaning: str) -> SX:
-        return model.parameter(name, unit, value, meaning, positive=True)
-
+    size = partial(model.parameter, positive=True)
     m = size("m", "kg", 0.2 * SLUG, "mass of the bar")
     length = size("length", "m", 1 * FOOT, "length of the bar")
     d = size("d", "m", 1 * FOOT, "length of the arm OG")

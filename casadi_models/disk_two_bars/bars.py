@@ -1,5 +1,6 @@
 """Parameters, states, inertias, loads and outputs of all formulations of the disk with bars."""
 
+from functools import partial
 from math import pi
 from typing import NamedTuple
 
@@ -110,9 +111,7 @@ def motion(model: Model) -> Motion:
 
 def data(model: Model) -> Data:
     """Declare the parameters."""
-
-    def size(name: str, unit: str, value: float, meaning: str) -> SX:
-        return model.parameter(name, unit, value, meaning, positive=True)
+    size = partial(model.parameter, positive=True)
 
     def not_negative(name: str, unit: str, value: float, meaning: str) -> SX:
         return model.parameter(name, unit, value * FOOT_POUND, meaning, minimum=0.0)

@@ -119,7 +119,7 @@ static int slope_within(void *made, double t, const double *x, double *dx) {
 
 /* A step from a state, whose derivatives must be fresh, to the present one, which `to` takes. */
 static bool through_ends(Instance *self, const State *from, const double *stages, State *to,
-                         Made *made) {
+                         Made *made, Motion *motion) {
     if (refresh(self, DERIVATIVES) != OK) return false;
     *to = self->state;
     const double *a = from->values, *b = to->values;
@@ -136,6 +136,7 @@ static bool through_ends(Instance *self, const State *from, const double *stages
                               .slope = slope_within,
                               .owner = made,
                               .looks = FIXED_STEPS > 0 ? looks_for(ORDER_OF_STEPS) : 0};
+    *motion = (Motion){.solver = made, .at = within_step, .quintic = &made->quintic};
     return true;
 }
 
@@ -144,11 +145,9 @@ static bool leaving_in_step(Instance *self, const State *from, const double *sta
                             double leaving[]) {
     Made made;
     State to;
-    if (!through_ends(self, from, stages, &to, &made)) return false;
-    const Motion motion = {.solver = &made,
-                           .at = within_step,
-                           .box = end > to.values[TIME] ? NULL : box_of_step,
-                           .quintic = &made.quintic};
+    Motion motion;
+    if (!through_ends(self, from, stages, &to, &made, &motion)) return false;
+    if (!(end > to.values[TIME])) motion.box = box_of_step;
     find_leaving(self, &motion, from->values[TIME], end, leaving);
     return true;
 }
@@ -198,12 +197,10 @@ static bool end_at_crossing(Instance *self, const State *from, const double *sta
                             int *relation) {
     Made made;
     State to;
-    if (!through_ends(self, from, stages, &to, &made)) return false;
-    const Motion motion = {.solver = &made,
-                           .at = within_step,
-                           .step_to = step_again,
-                           .stages = stages,
-                           .quintic = &made.quintic};
+    Motion motion;
+    if (!through_ends(self, from, stages, &to, &made, &motion)) return false;
+    motion.step_to = step_again;
+    motion.stages = stages;
     Crossing crossing;
     const double begin = from->values[TIME], end = to.values[TIME];
     const bool goes_on = inputs_rest(self) && end < next_event(self);

@@ -67,11 +67,9 @@ class UnknownName(CosimError):
         """Say what does not exist and which names come nearest."""
         names = list(dict.fromkeys(known))
         near = near_names(str(name), names)
-        hint = (
-            f"did you mean {' or '.join(near)}?"
-            if near
-            else f"it has {shortened(names, 12) or 'none'}"
-        )
+        hint = f"it has {shortened(names, 12) or 'none'}"
+        if near:
+            hint = f"did you mean {' or '.join(near)}?"
         return cls(f"{owner} has no {kind} '{name}'; {hint}")
 
     @classmethod
