@@ -1,7 +1,8 @@
 """The modules of the product and what they import, read from their sources."""
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -26,9 +27,14 @@ def modules() -> dict[str, str]:
 MODULES = modules()
 
 
-def imports(source: str) -> Iterator[str]:
-    """Yield the names of the modules that a source imports; a relative one begins with a dot."""
-    for node in ast.walk(ast.parse(source)):
+@cache
+def imports(source: str) -> tuple[str, ...]:
+    """Return the names of the modules that a source imports; a relative one begins with a dot."""
+    return tuple(_imported(ast.walk(ast.parse(source))))
+
+
+def _imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    for node in nodes:
         match node:
             case ast.Import(names=names):
                 yield from (alias.name for alias in names)
@@ -51,7 +57,7 @@ def needs(sources: Mapping[str, str]) -> dict[str, set[str]]:
     for tree in loaded.values():
         tree.body = [node for node in tree.body if not _for_types_only(node)]
     return {
-        name: {other for other in imports(ast.unparse(tree)) if other in sources and other != name}
+        name: {other for other in _imported(ast.walk(tree)) if other in sources and other != name}
         for name, tree in loaded.items()
     }
 
