@@ -9,11 +9,12 @@ import pytest
 import casadi_models
 import cosim
 from casadi_models.dae import Model
+from cosim.model.catalogue import loaded
 
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_model_says_what_it_is_in_few_lines(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     lines = repr(dae).splitlines()
     assert lines[0].startswith(f"Dae {name}: ")
     assert len(lines) <= 9
@@ -22,7 +23,7 @@ def test_model_says_what_it_is_in_few_lines(name):
 
 
 def test_reduced_model_says_so():
-    assert "reduced: " in repr(cosim.reduce(cosim.load("bicycle"), ["phi"]))
+    assert "reduced: " in repr(cosim.reduce(loaded("bicycle"), ["phi"]))
 
 
 def test_builder_says_what_is_declared():
@@ -48,7 +49,7 @@ def test_scene_says_what_it_sets(name):
 @pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_pickled_model_is_the_same_model(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     again = pickle.loads(pickle.dumps(dae))
     assert repr(again) == repr(dae)
     assert again.variables == dae.variables
@@ -58,7 +59,7 @@ def test_pickled_model_is_the_same_model(name):
 
 @pytest.mark.parametrize("name", ["bicycle/multipliers", "crank_shaft"])
 def test_pickled_model_runs_to_the_same_bits(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     first, second = (
         cosim.simulate(d, stop_time=0.1, compiled=False)
         for d in (dae, copy.deepcopy(dae))  # deepcopy takes the way of pickle

@@ -9,6 +9,7 @@ from casadi import SX
 import casadi_models
 from casadi_models.dae import Model
 from casadi_models.mechanics.rotations import about
+from cosim.model.catalogue import loaded
 from cosim.model.reduction import reduce
 
 
@@ -35,8 +36,8 @@ def drawn(model: Model) -> Model:
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_every_formulation_shows_the_scene_of_its_system(name):
-    drawing = casadi_models.load(name).drawing
-    first = casadi_models.load(name.partition("/")[0]).drawing
+    drawing = loaded(name).drawing
+    first = loaded(name.partition("/")[0]).drawing
     for group in ("bodies", "shapes", "arrows", "traces"):
         items = [(item.name, *map(str, _expressions(item))) for item in getattr(drawing, group)]
         assert items

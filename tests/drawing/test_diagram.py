@@ -11,6 +11,7 @@ import cosim
 from cosim.drawing import diagram as drawn
 from cosim.drawing.diagram import Labels
 from cosim.drawing.pose import start_pose
+from cosim.model.catalogue import loaded
 
 
 def overlap(one, other):
@@ -39,7 +40,7 @@ def test_diagram_has_no_text_on_another(name, monkeypatch):
     sheets = []
     png = drawn._Sheet.png
     monkeypatch.setattr(drawn._Sheet, "png", lambda s, size: sheets.append(s) or png(s, size))
-    dae = cosim.load(name)
+    dae = loaded(name)
     drawn.diagram(start_pose(dae))
     (sheet,) = sheets
     boxes = sheet.labels.boxes
@@ -51,7 +52,7 @@ def test_diagram_has_no_text_on_another(name, monkeypatch):
 
 
 def test_variables_removed_by_reduction_have_no_arrow():
-    pose = start_pose(cosim.reduce(cosim.load("crank_shaft"), ["T"]))
+    pose = start_pose(cosim.reduce(loaded("crank_shaft"), ["T"]))
     assert [sign.names for sign in pose.signs] == [("T",)]
 
 
@@ -74,6 +75,6 @@ def test_frames_and_angles_of_bodies_of_any_size_are_told_apart(length):
 
 
 def test_frames_that_coincide_are_one():
-    pose = start_pose(cosim.load("bicycle"))
+    pose = start_pose(loaded("bicycle"))
     names = [name for name, _, _ in drawn.distinct_frames(pose)]
     assert names == ["rear wheel, rear frame", "fork", "front wheel"]

@@ -8,6 +8,7 @@ import casadi_models
 import cosim
 from casadi_models.dae import Model
 from cosim.drawing.pose import start_pose
+from cosim.model.catalogue import loaded
 
 SMALL = 1e-6
 
@@ -28,7 +29,7 @@ def drawn(dae, changed=None):
 
 @pytest.mark.parametrize("name", ["bicycle", "bar_on_frame", "crank_shaft", "disk_two_bars"])
 def test_a_turn_is_positive_about_its_axis_by_the_right_hand(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     bodies, known = drawn(dae)
     turns = [sign for sign in start_pose(dae).signs if sign.turns]
     assert turns
@@ -46,7 +47,7 @@ def test_a_turn_is_positive_about_its_axis_by_the_right_hand(name):
 
 def test_a_positive_contact_force_of_the_bicycle_points_down():
     """The book's N3 points down: a supporting force is negative."""
-    signs = {s.names: s for s in start_pose(cosim.load("bicycle")).signs}
+    signs = {s.names: s for s in start_pose(loaded("bicycle")).signs}
     np.testing.assert_array_equal(signs["fz_P",].direction, [0, 0, 1])
     np.testing.assert_array_equal(signs["fx_Q",].direction, [1, 0, 0])
     np.testing.assert_allclose(signs["fz_P",].at, 0, atol=1e-12)  # P starts at the origin
@@ -55,7 +56,7 @@ def test_a_positive_contact_force_of_the_bicycle_points_down():
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_every_model_has_a_pose_and_every_sign_a_variable(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     pose = start_pose(dae)
     names = {v.name for v in dae.variables}
     assert pose.poses.solids
@@ -82,4 +83,4 @@ def test_a_model_without_shapes_has_none():
 
 
 def test_a_reduced_model_is_still_drawn():
-    assert start_pose(cosim.reduce(cosim.load("bicycle"), outputs=["phi"])).poses.solids
+    assert start_pose(cosim.reduce(loaded("bicycle"), outputs=["phi"])).poses.solids

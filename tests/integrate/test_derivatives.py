@@ -16,6 +16,7 @@ from casadi_models import CATALOG
 from casadi_models.dae import Model
 from cosim.errors import UsageError
 from cosim.integrate.solvers import SOLVERS
+from cosim.model.catalogue import loaded
 
 GRID = np.linspace(0, 0.06, 4)
 ARGUMENTS = ("x0", "p", "u")
@@ -24,7 +25,7 @@ BOUND = 1e-6  # of the largest derivative; measured 1e-12 to 3e-8
 
 @cache
 def dae_of(name):
-    return cosim.load(name)
+    return loaded(name)
 
 
 def arguments(name):

@@ -12,17 +12,18 @@ import casadi_models
 import cosim
 from casadi_models.dae import Model, Start
 from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
+from cosim.model.catalogue import loaded
 from cosim.model.values import assign, number
 
 
 @pytest.fixture(scope="module")
 def crank():
-    return cosim.load("crank_shaft")
+    return loaded("crank_shaft")
 
 
 @pytest.fixture(scope="module")
 def bicycle():
-    return cosim.load("bicycle")
+    return loaded("bicycle")
 
 
 # -- numbers --------------------------------------------------------------------------------------
@@ -59,7 +60,7 @@ def test_what_must_be_positive_is_refused_otherwise(value):
 POSITIVE = [
     (name, parameter.name)
     for name in casadi_models.CATALOG
-    for parameter in casadi_models.load(name).parameters
+    for parameter in loaded(name).parameters
     if parameter.unit in ("kg", "m", "kg.m2", "kg/m3") and parameter.minimum > 0
 ]
 
@@ -70,7 +71,7 @@ def test_numbers_go_to_their_places(crank):
     assert values.x.tolist() == [0.0, 3.0]
     assert values.p[names.index("alpha")] == -1.0
     assert values.p[names.index("diameter")] == 0.5 * 0.0254
-    bar = cosim.load("bar_on_frame")
+    bar = loaded("bar_on_frame")
     assert assign(bar, {"T2": 0.5}).u.tolist() == [0.5]
 
 
@@ -100,13 +101,13 @@ def test_overrides_of_the_caller_stay_as_they_are(crank):
 )
 def test_mass_length_and_inertia_outside_their_range_are_refused(model, name, value):
     with pytest.raises(ParameterError, match=rf"{model}/\w+: {name}"):
-        assign(cosim.load(model), {name: value})
+        assign(loaded(model), {name: value})
 
 
 def test_every_mass_length_and_inertia_is_bounded_that_must_be_positive():
     assert len(POSITIVE) > 60
     for name in casadi_models.CATALOG:
-        for parameter in casadi_models.load(name).parameters:
+        for parameter in loaded(name).parameters:
             mass_like = parameter.unit in ("kg", "kg/m3") or "radius" in parameter.name
             if mass_like:
                 assert parameter.minimum > 0, (name, parameter.name)
@@ -114,7 +115,7 @@ def test_every_mass_length_and_inertia_is_bounded_that_must_be_positive():
 
 @pytest.mark.parametrize(("name", "value"), [("b", 0.0), ("Omega_dot", 0.0)])
 def test_zero_is_taken_where_the_model_allows_it(name, value):
-    assign(cosim.load("bar_on_frame"), {name: value})
+    assign(loaded("bar_on_frame"), {name: value})
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ def test_state_outside_its_bounds_is_refused(unit, shown):
     [("bicycle", "phi", 30.0), ("bar_on_frame", "theta", -60.0), ("crank_shaft", "phi", 1e4)],
 )
 def test_angle_of_the_size_of_degrees_is_doubted_and_taken(model, name, value):
-    dae = cosim.load(model)
+    dae = loaded(model)
     with pytest.warns(UserWarning, match=rf"{name} = .* rad is more than two turns; write .*deg"):
         values = assign(dae, {name: value})
     assert value in values.x
@@ -204,12 +205,12 @@ def test_angle_of_the_size_of_degrees_is_doubted_and_taken(model, name, value):
 def test_angle_of_a_wheel_and_rates_are_not_doubted(model, name, value):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assign(cosim.load(model), {name: value})
+        assign(loaded(model), {name: value})
 
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_defaults_of_every_model_are_accepted(name):
-    dae = cosim.load(name)
+    dae = loaded(name)
     values = assign(dae)
     assert values.x.tolist() == list(dae.x_start)
     assert values.p.tolist() == [v.start for v in dae.parameters]

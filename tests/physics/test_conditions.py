@@ -12,6 +12,7 @@ import casadi_models
 import cosim
 from casadi_models.bicycle import book
 from casadi_models.bicycle.stages import stages
+from cosim.model.catalogue import loaded
 
 SHAFT = ("shaft_v1", "shaft_v2", "shaft_v3", "shaft_w1", "shaft_w2", "omega")
 FRAME = ("frame_v1", "frame_v2", "frame_v3", "frame_w1", "frame_w2", "Omega")
@@ -31,7 +32,7 @@ SPEEDS = {  # in whose accelerations the equations of motion are solved
     "double_pendulum/euler_313_axial": ACROSS,
     "double_pendulum/multipliers": (*[f"v{a}_G{i}" for i in "12" for a in "xyz"], *ACROSS),
 }
-KEPT = [name for name in SPEEDS if casadi_models.load(name).algebraics]
+KEPT = [name for name in SPEEDS if loaded(name).algebraics]
 NAMES = ("mass_condition", "constraint_condition", "singularity_distance")
 
 
@@ -41,7 +42,7 @@ def models():
 
 
 def watched(name):
-    return Equations(casadi_models.load(name).watching((*NAMES, "position_drift")))
+    return Equations(loaded(name).watching((*NAMES, "position_drift")))
 
 
 def random_state(model, rng):
@@ -122,7 +123,7 @@ def test_constraint_condition_is_that_of_the_equations_that_are_solved(models, n
 
 def loads(name):
     """Return the multipliers: the unknowns that are no accelerations."""
-    dae = casadi_models.load(name)
+    dae = loaded(name)
     return [v.name for v in dae.algebraics if not v.unit.endswith("/s2")]
 
 
@@ -219,7 +220,7 @@ def test_drift_is_the_largest_gap(models):
 
 @pytest.mark.parametrize("name", casadi_models.CATALOG)
 def test_monitors_cost_nothing_until_they_are_asked_for(name):
-    dae = casadi_models.load(name)
+    dae = loaded(name)
     names = [v.name for v, _ in dae.monitors]
     assert not {v.name for v in dae.variables} & set(names)
     asked = dae.watching(names)
@@ -229,7 +230,7 @@ def test_monitors_cost_nothing_until_they_are_asked_for(name):
 
 @pytest.mark.slow
 def test_run_and_reduction_compute_the_monitors_that_are_named():
-    dae = casadi_models.load("bicycle")
+    dae = loaded("bicycle")
     run = cosim.simulate(dae, stop_time=0.1, outputs=["phi", "singularity_distance"])
     assert run.names == ("phi", "singularity_distance")
     small = cosim.reduce(dae, ["phi", "singularity_distance"])

@@ -6,11 +6,12 @@ import pytest
 import casadi_models
 import cosim
 from cosim.drawing.meshes import mesh_of
+from cosim.model.catalogue import loaded
 from cosim.present.playback.playback import playback
 
 
 def shown(name, **options):
-    run = cosim.simulate(cosim.load(name), compiled=False, **options)
+    run = cosim.simulate(loaded(name), compiled=False, **options)
     return run, playback(run, run.drawing, times=run.time)
 
 

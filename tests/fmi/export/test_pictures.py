@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import cosim
 from cosim.drawing.diagram import diagram, icon
 from cosim.drawing.pose import start_pose
 from cosim.fmi.export import documentation as module
 from cosim.fmi.export.documentation import pictures
+from cosim.model.catalogue import loaded
 
 BAR = "bar_on_frame/reduced"
 
@@ -21,14 +21,14 @@ def opened(content):
 
 @pytest.mark.parametrize(("fmi", "place"), [(2, "model.png"), (3, "terminalsAndIcons/icon.png")])
 def test_each_version_has_its_place_for_a_square_icon(fmi, place):
-    files = pictures(cosim.load(BAR), fmi)
+    files = pictures(loaded(BAR), fmi)
     assert set(files) == {"documentation/diagram.png", place}
     assert opened(files[place]).size == (128, 128)
     assert opened(files["documentation/diagram.png"]).size == (640, 480)
 
 
 def test_the_shapes_are_seen_in_their_colors():
-    dae = cosim.load(BAR)
+    dae = loaded(BAR)
     pixels = np.asarray(opened(icon(start_pose(dae)))).reshape(-1, 3).astype(int)
     for color in ("#0072B2", "#56B4E9"):  # frame and bar
         wanted = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
@@ -37,14 +37,14 @@ def test_the_shapes_are_seen_in_their_colors():
 
 
 def test_the_diagram_turns_with_the_model():
-    dae = cosim.load(BAR)
+    dae = loaded(BAR)
     pose = start_pose(dae)
     assert diagram(pose) == diagram(start_pose(dae))
-    assert diagram(pose) != diagram(start_pose(cosim.load("crank_shaft")))
+    assert diagram(pose) != diagram(start_pose(loaded("crank_shaft")))
 
 
 def test_a_picture_of_a_model_is_drawn_once(monkeypatch):
-    dae, drawn = cosim.load(BAR), []
+    dae, drawn = loaded(BAR), []
 
     def counted(draw):
         def counting(*arguments):
