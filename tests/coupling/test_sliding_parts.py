@@ -143,6 +143,7 @@ def pair(start=0.0, inertia=0.5, friction=30.0):
     return slow.freeze(), {"a.T": "b.R", "b.u": "a.w"}
 
 
+@pytest.mark.quick_share(0.5)
 @pytest.mark.parametrize("method", ["jacobi", "gauss_seidel", "extrapolated", "iterated"])
 @pytest.mark.parametrize("step", [0.05, 0.002])
 @pytest.mark.parametrize("start", [100.0, 92.5, 0.0])
