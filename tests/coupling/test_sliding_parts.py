@@ -162,6 +162,7 @@ def test_every_method_follows_parts_that_slide(start, step, method):
     assert "a and b slide on each other" in run.stats["note"]
 
 
+@pytest.mark.slow
 def test_events_that_come_ever_faster_end_the_given_steps():
     """It took macro steps of 6e-15 s before, without end."""
     slow, wires = pair(start=10.0)
