@@ -18,12 +18,12 @@ from cosim.memo import cached_per_thread
 from cosim.model.growth import (
     Closer,
     Growth,
-    StatePath,
     growth_from_start,
     stays_suppressed,
     suppressed_growth,
 )
 from cosim.model.solver import AdaptiveSolver, Tolerance
+from cosim.model.state_path import StatePath
 from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
 from cosim.model.values import error_sizes, own_sizes
 from cosim.text import one_note
@@ -54,6 +54,10 @@ def followed_growth(
     if growth.rounding:
         return _noted(motion, growth.note(closer, absolute, False))
     followed = run(closer)
+    later = None if followed.reason else growth_in(followed, solver.tolerance, closer.until)
+    if later and not later.rounding:
+        closer = later.closer(relative, absolute, closer)
+        followed = run(closer)
     if followed.reason == INTERRUPTED:
         return followed
     found = motion if followed.reason else followed
@@ -134,19 +138,20 @@ def may_grow_again(dae: Dae) -> bool:
 def _trough(
     motion: Motion, sizes: Vector, tolerance: tuple[float, float], shares: Vector
 ) -> Trough | None:
-    times = np.array([before.t for before, _ in motion.instants])
-    which = np.array([before.x != after.x for before, after in motion.instants], dtype=bool)
-    jumps = times, which.reshape(-1, len(sizes)).T
-    return deepest_trough(
-        _path(motion, sizes), tolerance, shares, jumps=jumps, complete=not motion.reason
-    )
+    return deepest_trough(_path(motion, sizes), tolerance, shares, complete=not motion.reason)
 
 
-def growth_in(motion: Motion, tolerance: Tolerance) -> Growth | None:
-    """Return the smallest deviation that a motion suppresses; see `suppressed_growth`."""
-    if not _fed_back(motion.dae).any():
+def growth_in(motion: Motion, tolerance: Tolerance, begin: float = -np.inf) -> Growth | None:
+    """Return the smallest deviation that a motion suppresses; see `suppressed_growth`.
+
+    Args:
+        motion: The motion.
+        tolerance: Of its solver.
+        begin: From when on, s.
+    """
+    if not any_grows(motion.dae):
         return None
-    path = _path(motion, _sizes(motion, tolerance))
+    path = _path(motion, _sizes(motion, tolerance)).since(begin)
     return suppressed_growth(path, motion.counts.steps or 0, *tolerance.pair)
 
 
@@ -157,6 +162,7 @@ def _sizes(motion: Motion, tolerance: Tolerance) -> Vector:
 
 def _path(motion: Motion, sizes: Vector) -> StatePath:
     """Return the path of a motion; unknowns and inputs are those of the row before a place."""
+    motion = motion.with_sides()
 
     def rates(times: Vector, states: Vector) -> Vector:
         z, u = _known(motion, times)
@@ -175,6 +181,11 @@ def _known(motion: Motion, times: Vector) -> tuple[Vector, Vector]:
     rows = motion.time.searchsorted(times, "right") - 1
     u = np.broadcast_to(motion.u, (len(motion.u), len(motion.time)))
     return motion.algebraics[:, rows], u[:, rows]
+
+
+def any_grows(dae: Dae) -> bool:
+    """Return whether any deviation may grow by e, because its states act on themselves."""
+    return bool(_fed_back(dae).any())
 
 
 @cached_per_thread(16)
@@ -237,7 +248,7 @@ def growing_starts(
     x, sizes, u, p = (rows.T for rows in starts)
     begin, end = span
     found = np.zeros(x.shape[1], dtype=bool)
-    if not (found.size and _fed_back(dae).any()):
+    if not (found.size and any_grows(dae)):
         return found
     at = np.full((1, len(found)), begin)
     slopes = _slopes(dae, at, x, np.empty((0, 1)), u, p) * sizes.T[:, None] / sizes.T[:, :, None]

@@ -8,20 +8,20 @@ beginning, it needs a smaller tolerance. Where rounding alone keeps a motion at 
 tolerance helps.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
+from cosim.model.state_path import Bends, Span, StatePath
 from cosim.text import moment
 
 EFFECT = 100  # least error that matters, in relative tolerances
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
-_FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
 _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
 _SHORTER = 4.0  # by which the next line is shorter that is tried
@@ -51,15 +51,19 @@ class Growth(NamedTuple):
     until: float
     rounding: bool = False
 
-    def closer(self, relative: float, absolute: float) -> "Closer":
+    def closer(self, relative: float, absolute: float, before: "Closer | None" = None) -> "Closer":
         """Return the absolute tolerance that follows the deviation until it has nominal size.
 
         Args:
             relative: Relative tolerance of the run, which then is that of the deviation; if it is
                 0, the absolute one is.
             absolute: Absolute tolerance of the run, in nominal values.
+            before: What has followed an earlier deviation; more may come after this one.
         """
-        return Closer(np.array((relative or absolute) * self.size / absolute), self.until)
+        share = np.array((relative or absolute) * self.size / absolute)
+        if before is None:
+            return Closer(share, self.until)
+        return Closer(np.fmin(share, before.shares), np.inf)
 
     def note(self, closer: "Closer", absolute: float, followed: bool) -> str:
         """Return what to say of a run.
@@ -98,40 +102,6 @@ class Closer(NamedTuple):
     until: float
 
 
-@dataclass(frozen=True, eq=False)
-class StatePath:
-    """States over time, with their equations.
-
-    Attributes:
-        names: Of the states.
-        time: Rows, s, (n,).
-        states: (nx, n).
-        sizes: Nominal values of the states, (nx,).
-        rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
-        slopes: Returns the derivatives of dx/dt by the states, (m, nx, nx), at times, s, (m,), and
-            states, (nx, m); not finite where they have no value.
-        fed_back: Which states may grow by acting on themselves, (nx,); all if None.
-    """
-
-    names: Sequence[str]
-    time: Vector
-    states: Vector
-    sizes: Vector
-    rates: Callable[[Vector, Vector], Vector]
-    slopes: Callable[[Vector, Vector], Vector]
-    fed_back: Truths | None = None
-    _known: dict[int, Vector] = field(init=False, default_factory=dict, repr=False)
-
-    def slopes_at(self, rows: Integers) -> Vector:
-        """Return the slopes at rows in nominal values, (m, nx, nx)."""
-        new = np.array([row for row in rows.tolist() if row not in self._known], dtype=int)
-        if len(new):
-            slopes = self.slopes(self.time[new], self.states[:, new])
-            scaled = slopes * self.sizes / self.sizes[:, None]
-            self._known.update(zip(new.tolist(), scaled, strict=True))
-        return np.array([self._known[row] for row in rows.tolist()])
-
-
 def suppressed_growth(
     path: StatePath, steps: int, relative: float, absolute: float
 ) -> Growth | None:
@@ -144,37 +114,60 @@ def suppressed_growth(
     """
     if len(path.time) < 2 or not len(path.states):
         return None
-    bends = _Bends.of(path, steps)
+    bends = Bends.of(path, steps)
     for level in _levels(relative, absolute):
-        spans = bends.spans(relative, level.calm * path.sizes, path.fed_back)
+        spans = bends.spans(relative, level.calm * path.sizes, path.grows)
         # where steps are closer than rows, a line may be short
         if (not spans and steps < len(path.time)) or not level.matters(path):
             continue
         own = ((path, *span) for span in compress(spans, _growing(path, spans)))
-        if found := level.smallest(chain(own, _first_lines(path, relative, level.calm))):
+        first = (_first_lines(path, row, relative, level.calm) for row in path.begins)
+        if found := level.smallest(chain(own, *first)):
             return found
     return None
+
+
+def unfollowed_growth(
+    path: StatePath, steps: int, relative: float, absolute: float, closer: Closer | None
+) -> Growth | None:
+    """Return the smallest deviation that a run with smaller tolerances has not followed.
+
+    Args:
+        path, steps, relative, absolute: See `suppressed_growth`.
+        closer: The smaller tolerances; None if there are none.
+    """
+    facts = steps, relative, absolute
+    if closer is None or stays_suppressed(path, *facts):
+        return suppressed_growth(path, *facts)
+    return suppressed_growth(path.since(closer.until), *facts)
 
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
     for level in _levels(relative, absolute):
-        lines = _first_lines(path, relative, level.calm)
+        lines = _first_lines(path, 0, relative, level.calm)
         if level.matters(path) and (found := level.smallest(lines)):
             return found
     return None
 
 
-_Span = tuple[int, int, Truths]  # the rows between which states are lines in time, and which are
 _Line = tuple[StatePath, int, int, Truths]
 
 
 class _Level(NamedTuple):
-    """What is looked for: a change that is calm, what is visible, and the error of a deviation."""
+    """What is looked for, in nominal values.
+
+    Attributes:
+        calm: Change of what is a line.
+        least: What is visible.
+        error: Of a deviation.
+        few: Size of a deviation of which more than half of the digits are lost.
+    """
 
     calm: float
     least: float
     error: float
+    few: float
 
     def matters(self, path: StatePath) -> bool:
         """Return whether an error may become visible, as slopes along a motion tell."""
@@ -190,15 +183,16 @@ class _Level(NamedTuple):
     def smallest(self, lines: Iterable[_Line]) -> Growth | None:
         """Return the smallest deviation that grows along lines."""
         every = (growth_along(*line, self.least, self.error) for line in lines)
-        few = [own for own in every if own and (own.size < self.calm or self.error == np.inf)]
+        few = [own for own in every if own and (own.size < self.few or own.rounding)]
         return min(few, key=lambda growth: (growth.rounding, growth.size), default=None)
 
 
 def _levels(relative: float, absolute: float) -> list[_Level]:
     """Return the levels of what no step follows, and of what is followed with few digits."""
-    levels = [_Level(absolute, absolute, np.inf)]
+    half = controlled_half(relative, absolute)
+    levels = [_Level(absolute, absolute, np.inf, half)]
     if relative:
-        levels.append(_Level(controlled_half(relative, absolute), EFFECT * relative, absolute))
+        levels.append(_Level(half, EFFECT * relative, absolute, half))
     return levels
 
 
@@ -215,7 +209,7 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
     Args:
         path, steps, relative, absolute: See `suppressed_growth`; of a run that follows deviations.
     """
-    spans = _Bends.of(path, steps).spans(relative, absolute * path.sizes, path.fed_back)
+    spans = Bends.of(path, steps).spans(relative, absolute * path.sizes, path.grows)
     hidden = absolute / relative if relative else np.inf
     for first, last, calm in spans:
         line = replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1])
@@ -225,32 +219,32 @@ def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: flo
     return False
 
 
-def _first_lines(path: StatePath, relative: float, absolute: float) -> Iterator[_Line]:
-    """Yield lines from the start that are ones to the tolerance, with rows along them."""
-    t, x = path.time, path.states[:, :1]
-    rate = path.rates(t[:1], x)
+def _first_lines(path: StatePath, row: int, relative: float, absolute: float) -> Iterator[_Line]:
+    """Yield lines from a row that are ones to the tolerance, with rows along them."""
+    t, x = path.time, path.states[:, [row]]
+    begin, rate = t[row], path.rates(t[[row]], x)
     shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
-    lengths = np.ptp(t) * shares
+    lengths = (t[-1] - begin) * shares
     ends = x + lengths * rate
-    bends = lengths * np.abs(path.rates(t[0] + lengths, ends) - rate)
+    bends = lengths * np.abs(path.rates(begin + lengths, ends) - rate)
     calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None]
     new = (calm & (calm.cumsum(axis=1) == 1)).any(axis=0)
-    lasts = np.minimum(t.searchsorted(t[0] + lengths), len(t) - 1)
-    spans = [(0, int(last), own) for last, own in zip(lasts[new], calm.T[new], strict=True)]
+    lasts = np.minimum(t.searchsorted(begin + lengths), len(t) - 1)
+    spans = [(row, int(last), own) for last, own in zip(lasts[new], calm.T[new], strict=True)]
     chosen = [*compress(zip(lengths[new], calm.T[new], strict=True), _growing(path, spans))]
-    if not chosen or not _may_grow_on_line(path, rate):
+    if not chosen or not _may_grow_on_line(path, row, rate):
         return
     for length, own in chosen:
-        time = np.union1d(t, np.linspace(t[0], t[0] + length, _PLACES))
+        time = np.union1d(t, np.linspace(begin, begin + length, _PLACES))
         states = np.array([np.interp(time, t, row) for row in path.states])
-        last = int(time.searchsorted(t[0] + length))
-        yield replace(path, time=time, states=states), 0, last, own
+        first, last = time.searchsorted((begin, begin + length)).tolist()
+        yield replace(path, time=time, states=states), first, last, own
 
 
-def _may_grow_on_line(path: StatePath, rate: Vector) -> bool:
-    """Return whether a deviation may grow on the line that starts a motion, to its end."""
-    times = np.linspace(path.time[0], path.time[-1], _PLACES)
-    line = path.states[:, :1] + rate * (times - times[0])
+def _may_grow_on_line(path: StatePath, row: int, rate: Vector) -> bool:
+    """Return whether a deviation may grow on the line that leaves a row, to the end."""
+    times = np.linspace(path.time[row], path.time[-1], _PLACES)
+    line = path.states[:, [row]] + rate * (times - times[0])
     slopes = path.slopes(times, line)
     finite = _finite(slopes)
     if not finite[0] or not path.rates(times, line).any():
@@ -283,7 +277,7 @@ def _spread(t: Vector, first: int, last: int, places: int) -> Integers:
     return np.unique(np.clip(wanted, first, last))
 
 
-def _growing(path: StatePath, spans: Sequence[_Span]) -> list[bool]:
+def _growing(path: StatePath, spans: Sequence[Span]) -> list[bool]:
     """Return in which spans, or soon after, a deviation may grow by e, as slopes there tell."""
     if spans:  # all slopes at once
         every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
@@ -332,60 +326,6 @@ def _finite(slopes: Vector) -> Truths:
     return np.asarray(np.isfinite(slopes).all(axis=(1, 2)))
 
 
-class _Bends(NamedTuple):
-    """How far a motion leaves its lines between rows that are about a step of its solver apart.
-
-    Attributes:
-        rows: In which a motion that steps follow is never straight, (m,).
-        time: There, s, (m,).
-        sizes: Absolute values of the states at the ends of the gaps between them, (nx, m - 1).
-        bends: How far the states are there from where the gap before leads, (nx, m - 1).
-    """
-
-    rows: Integers
-    time: Vector
-    sizes: Vector
-    bends: Vector
-
-    @classmethod
-    def of(cls, path: StatePath, steps: int) -> "_Bends":
-        """Return the bends of a path that a solver found in so many steps."""
-        t = path.time
-        wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
-        rows = np.unique(np.minimum(t.searchsorted(wanted), len(t) - 1))
-        t, x = t[rows], path.states[:, rows]
-        gaps = np.diff(t)
-        slopes = np.diff(x, axis=1) / gaps
-        if len(gaps) == 1:
-            before = path.rates(t[:1], x[:, :1])
-        else:
-            before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
-        return cls(rows, t, np.abs(x[:, 1:]), np.abs((slopes - before) * gaps))
-
-    def spans(self, relative: float, absolute: Vector, fed_back: Truths | None) -> list[_Span]:
-        """Return the longest spans in which all states are lines, and in which some are."""
-        calm: Truths = self.bends <= relative * self.sizes + absolute[:, None]
-        growing = calm if fed_back is None else calm[fed_back]
-        if not growing.any():
-            return []
-        rows, t = self.rows, self.time
-        every = _longest(np.logical_and.reduce(calm), t)
-        some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
-        chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
-        return [
-            (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
-            for first, last in chosen
-        ]
-
-
-def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
-    """Return the longest spans of times, by their first and last place, whose gaps are calm."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], calm, [0])))).reshape(-1, 2)
-    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(calm))]
-    spans = [(first, last) for first, last in edges.tolist()]
-    return sorted(spans, key=lambda span: float(t[span[0]] - t[span[1]]))[:_MOST_SPANS]
-
-
 def growth_along(
     path: StatePath, first: int, last: int, calm: Truths, least: float, error: float = np.inf
 ) -> Growth | None:
@@ -403,7 +343,10 @@ def growth_along(
     on_line = calm[:, None] & (t <= t[last])
     line = np.where(on_line, path.states[:, [first]] + rate * (t - t[first]), path.states)
     rows = np.unique([first, (first + last) // 2, last])
-    if not path.rates(t[rows], line[:, rows]).any():
+    jumps = path.jumps[(first <= path.jumps) & (path.jumps < last)]
+    changes = np.where(calm[:, None], path.states[:, jumps + 1] - path.states[:, jumps], 0)
+    changes /= sizes[:, None]
+    if not (changes.any() or path.rates(t[rows], line[:, rows]).any()):
         return None
     course = _Course.of(replace(path, states=line), first, last, calm)
     if course is None:
@@ -411,24 +354,28 @@ def growth_along(
     rows = np.unique([course.first, (course.first + last) // 2, last])
     f = path.rates(t[rows], line[:, rows]) / sizes[:, None]
     rounding = np.abs(course.slopes) @ np.abs(path.states[:, rows] / sizes[:, None])
+    times, count = np.append(t[rows], t[jumps]), len(rows)
     found = list[Growth]()
     for value, direction in zip(course.values, course.directions, strict=True):
-        push = np.abs(direction @ f)
+        push = np.abs(direction @ np.hstack((f, abs(value) * changes)))
         noise = np.abs(direction) @ rounding
-        level = _ROUNDINGS * _EPS * noise
+        level = _ROUNDINGS * _EPS * np.append(noise, np.full(len(jumps), noise.max()))
         exponents = course.exponents(value.real)
+        grown = np.interp(times, course.time, exponents)
         if 0 < push[0] <= level[0]:  # by then, rounding has grown
-            level = np.fmax(level, level[0] * np.exp(np.interp(t[rows], course.time, exponents)))
-        rising = np.flatnonzero(push > level)
-        only = not len(rising)
+            level = np.fmax(level, level[0] * np.exp(grown))
+        rising = push > level
+        only = not rising.any()
         if only:
-            rising, push = np.flatnonzero(push), _NOISE * noise
-        if not len(rising):
-            continue
-        size = float(push[rising].min()) / abs(value)
-        if min(size, error) * np.exp(exponents[-1]) > least:
-            state = path.names[int(np.argmax(np.abs(direction)))]
-            begin = float(t[rows[rising[0]]])
+            rising[:count] = push[:count] > 0
+            push[:count] = _NOISE * noise
+        push[:count] = push[:count].min(where=rising[:count], initial=np.inf)
+        grown[:count] = 0  # it may have begun before its row
+        seen = np.fmin(push / abs(value), error) * np.exp(exponents[-1] - grown) > least
+        if (rising & seen).any():
+            state = path.names[int(np.argmax(np.abs(direction) * path.grows))]
+            k = int(np.argmin(np.where(rising & seen, push, np.inf)))
+            begin, size = float(times[k]), float(push[k]) / abs(value)
             grown = exponents - np.interp(begin, course.time, exponents)
             wanted = -np.log(size)
             until = np.interp(wanted, grown, course.time) + max(wanted - grown[-1], 0) / value.real
@@ -471,8 +418,11 @@ class _Course:
             np.broadcast_to(own, (len(rows), *own.shape[1:]))
             for own in np.linalg.eig(_distinct(slopes).transpose(0, 2, 1))
         )
-        shares = np.abs(left) / np.abs(left).max(axis=1, keepdims=True)
-        alone = ~((shares > _COUPLED) & ~calm[:, None]).any(axis=1)
+        own = path.grows  # others, as those that only events change, push at most
+        left = left / np.fmax(np.linalg.norm(left[:, own], axis=1, keepdims=True), _EPS)
+        amounts = np.abs(left[:, own])
+        moves = (amounts > _COUPLED * amounts.max(axis=1, keepdims=True)) & ~calm[own, None]
+        alone = ~moves.any(axis=1)
         fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
         rates = fastest.max(axis=1)
         rates = np.append(rates, rates[-1])  # the line may go on
@@ -486,8 +436,8 @@ class _Course:
         if not growing.any():
             return None
         every = np.maximum.accumulate(grown)
-        own = slopes[place], values[place, growing], left[place, :, growing]
-        return cls(int(rows[begin]), time[begin:], every, *own)
+        facts = slopes[place], values[place, growing], left[place, :, growing]
+        return cls(int(rows[begin]), time[begin:], every, *facts)
 
     def exponents(self, rate: float) -> Vector:
         """Return the natural logarithm of a growth of another rate at first, (m,)."""

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
-from cosim.model.growth import EFFECT, Closer, StatePath
+from cosim.model.growth import EFFECT, Closer
+from cosim.model.state_path import StatePath
 from cosim.series.samples import ROUNDING_OF_OTHERS
 from cosim.text import moment
 
@@ -40,7 +41,7 @@ class Trough(NamedTuple):
     size: float
     shares: Vector
 
-    def closer(self, _relative: float = 0.0, _absolute: float = 0.0) -> Closer:
+    def closer(self, *_known: float | Closer | None) -> Closer:
         """Return the tolerances that control the digits, to the end of the run."""
         return Closer(self.shares, np.inf)
 
@@ -58,7 +59,6 @@ def deepest_trough(
     tolerance: tuple[float, float],
     shares: Vector,
     *,
-    jumps: tuple[Vector, Truths] | None = None,
     complete: bool = True,
 ) -> Trough | None:
     """Return where states have lost digits with which they grow again; None if none has.
@@ -67,7 +67,6 @@ def deepest_trough(
         path: Result of a solver with error control, with several rows in each of its steps.
         tolerance: Relative and absolute tolerance, the latter in nominal values.
         shares: Share of the absolute tolerance that each state had, (nx,).
-        jumps: Times, s, (m,), at which an event gave some states other values: which, (nx, m).
         complete: Whether the solver has not failed; if it has, a state need not grow again.
     """
     relative, absolute = tolerance
@@ -84,12 +83,10 @@ def deepest_trough(
     limits = np.where(alone | (shares < 1), relative, np.sqrt(relative))
     low = levels < (absolute * shares / limits)[:, None]
     worst: tuple[float, int, int, float] | None = None
-    for i, rows in _spans(low):
+    for i, rows in _spans(low, path):
         end = int(rows[-1]) + 1
-        begin, until = path.time[rows[0]], path.time[min(end, len(path.time) - 1)]
-        jumped = jumps is not None and jumps[1][i] & (begin <= jumps[0]) & (jumps[0] <= until)
-        is_left = complete and end < len(path.time)
-        if np.any(jumped) or not levels[i, rows].any():
+        is_left = complete and end < len(path.time) and path.time[end] > path.time[end - 1]
+        if not levels[i, rows].any():
             continue
         lost = _lost(rests, path, levels, low, i, rows)
         grows = is_left or not complete
@@ -111,11 +108,13 @@ def deepest_trough(
     return Trough(path.names[worst[1]], float(path.time[worst[2]]), worst[3], needed)
 
 
-def _spans(low: Truths) -> Iterator[tuple[int, Integers]]:
-    """Yield which state is low, and its rows, for each time that it is."""
+def _spans(low: Truths, path: StatePath) -> Iterator[tuple[int, Integers]]:
+    """Yield which state is low, and its rows, for each time that it is; a jump ends it."""
     for i in np.flatnonzero(low.any(axis=1)).tolist():
-        edges = np.flatnonzero(np.diff(low[i], prepend=False, append=False))
-        yield from ((i, np.arange(*pair)) for pair in edges.reshape(-1, 2))
+        changes = path.states[i, path.jumps] != path.states[i, path.jumps + 1]
+        ends = np.union1d(path.jumps[changes], np.flatnonzero(np.diff(low[i]))) + 1
+        parts = np.split(np.arange(low.shape[1]), ends)
+        yield from ((i, rows) for rows in parts if low[i, rows[0]])
 
 
 def _should_grow(path: StatePath, i: int, first: int) -> bool:

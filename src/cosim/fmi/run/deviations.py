@@ -8,7 +8,8 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.run.request import FmuRequest, nominals_of, state_names
-from cosim.model.growth import Growth, StatePath, stays_suppressed, suppressed_growth
+from cosim.model.growth import Growth, growth_from_start, unfollowed_growth
+from cosim.model.state_path import StatePath
 from cosim.model.troughs import Trough, deepest_trough
 
 _MOST_ROWS = 20_000  # of which every second one is dropped
@@ -47,13 +48,14 @@ class Deviations:
         self._instance, self._clock = instance, clock
         self.names = state_names(request.description)
         self._tolerances = request.relative_tolerance, request.relative_tolerance
-        self._follows = request.closer is not None
-        own = request.closer.shares if request.closer else 1.0
+        self._closer = request.closer
+        own = self._closer.shares if self._closer else 1.0
         self._shares = np.ones(len(self.names)) * (own if np.ndim(own) else 1.0)
         self._distance = (request.stop - request.start) / _PLACES
         self.found: Growth | Trough | None = None
         self.rows: list[tuple[float, Vector]] = []
         self._places: list[_Place] = []
+        self._grown: list[Growth | None] = []  # in parts without an event
         self._every: list[tuple[float, Vector]] = []  # rows of the run
         self.steps = 0
         self._random = None if every else np.random.default_rng(0)
@@ -93,9 +95,9 @@ class Deviations:
                 self._remember(last)
             path = self._linearized()
         if path is not None and not isinstance(self.found, Trough):
-            found = suppressed_growth(path, self.steps, *self._tolerances)
-            if not self._follows or stays_suppressed(path, self.steps, *self._tolerances):
-                self.found = found
+            whole = unfollowed_growth(path, self.steps, *self._tolerances, self._closer)
+            every = [own for own in [whole, *self._grown] if own]
+            self.found = min(every, key=lambda own: (own.rounding, own.size), default=None)
         if last is not None:
             self._rates(last.time[-1], last.states[:, -1])
 
@@ -112,6 +114,9 @@ class Deviations:
         )
         if not isinstance(self.found, Trough):
             self.found = deepest_trough(path, self._tolerances, self._shares)
+        is_new = self._closer is None or path.time[0] >= self._closer.until
+        if is_new and path.time[-1] - path.time[0] >= self._distance:
+            self._grown.append(growth_from_start(path, *self._tolerances))
         return path
 
     def _remember(self, path: StatePath) -> None:
@@ -123,7 +128,7 @@ class Deviations:
         self._places += map(_Place, *facts)
 
     def _keep(self, rows: Iterable[tuple[float, Vector]]) -> None:
-        self._every[-1:] = rows
+        self._every += rows
         if len(self._every) > _MOST_ROWS:
             del self._every[1:-1:2]
 

@@ -104,19 +104,19 @@ class OpenedFmu:
         with a smaller absolute tolerance.
         """
         found, lost = self._run(request, master)
-        trials = MOST_TRIALS if isinstance(lost, Trough) else 1
-        relative = request.relative_tolerance
+        trials = MOST_TRIALS if isinstance(lost, Trough) else 2
+        relative, closer = request.relative_tolerance, None
         text = _growth(found) if self.interface is Interface.CO_SIMULATION else ""
         while lost and trials:
             trials -= 1
-            last, closer = lost, lost.closer(relative, relative)
+            last, closer = lost, lost.closer(relative, relative, closer)
             if master is Master.C:
                 closer = closer._replace(until=request.stop)
             self._drop()  # the reset of a file of another tool may be incomplete
             with suppress(FmuError):
                 found, lost = self._run(replace(request, closer=closer), master)
             text = last.note(closer, relative, lost is None)
-            if lost is last:
+            if lost is last or (isinstance(lost, Growth) and lost.time < closer.until):
                 break
         if not text:
             return found

@@ -25,9 +25,9 @@ from cosim.integrate.ensemble.ensemble import Row
 from cosim.integrate.ensemble.lanes import nominal_sizes, within_bounds
 from cosim.integrate.events import records_of
 from cosim.integrate.families.explicit import Dop853, block_library
-from cosim.integrate.growth import growth_in
+from cosim.integrate.growth import any_grows, growth_in
 from cosim.integrate.initial_values import consistent_values
-from cosim.integrate.modes import hybrid, passed_events, sliding
+from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
@@ -241,8 +241,12 @@ class EventBlocks:
     ) -> Row | None:
         """Return a run from its motion and its instants; None if it is left to `run`."""
         known = unquestioned(motion, with_conditions(self._prepared.problem.dae))
-        if known is None or growth_in(known, self._tolerance) is not None:
+        if known is None:
             return None
+        if any_grows(motion.dae):
+            sides = [(each.before, each.after) for each in _passed(values, events)]
+            if growth_in(replace(known, instants=sides), self._tolerance) is not None:
+                return None
         try:
             motion, recorded, reason = evaluated(self._prepared, known, StepCheck(), _needed)
         except _RowsNeeded:
@@ -271,8 +275,7 @@ class EventBlocks:
         values: Values,
         events: NDArray[np.void],
     ) -> Trajectory:
-        inputs = np.tile(values.u, (len(events), 1))
-        passed = passed_events(events, (inputs, np.zeros_like(inputs)))
+        passed = _passed(values, events)
         instants = [(instant.before, instant.after) for instant in passed]
         motion = replace(motion, events=records_of(self._system, passed), instants=instants)
         times = motion.solve_time or 0.0, 0.0
@@ -281,6 +284,12 @@ class EventBlocks:
         alone = self._values.select(np.array([position]))
         again = partial(_block_of_one, alone, self.solver, found)
         return repeatable(found, request, self._prepared, again)
+
+
+def _passed(values: Values, events: NDArray[np.void]) -> list[Passed]:
+    """Return the events of a run with constant inputs."""
+    inputs = np.tile(values.u, (len(events), 1))
+    return passed_events(events, (inputs, np.zeros_like(inputs)))
 
 
 class _RowsNeeded(Exception):

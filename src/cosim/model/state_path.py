@@ -1,0 +1,123 @@
+"""`StatePath`: states over time with their equations, and where they are lines (`Bends`)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.arrays import Integers, Truths, Vector
+
+_FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
+
+Span = tuple[int, int, Truths]  # the rows between which states are lines in time, and which are
+
+
+@dataclass(frozen=True, eq=False)
+class StatePath:
+    """States over time, with their equations.
+
+    Attributes:
+        names: Of the states.
+        time: Rows, s, (n,), not descending: an event has a row before and one after it.
+        states: (nx, n).
+        sizes: Nominal values of the states, (nx,).
+        rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
+        slopes: Returns the derivatives of dx/dt by the states, (m, nx, nx), at times, s, (m,), and
+            states, (nx, m); not finite where they have no value.
+        fed_back: Which states may grow by acting on themselves, (nx,); all if None.
+    """
+
+    names: Sequence[str]
+    time: Vector
+    states: Vector
+    sizes: Vector
+    rates: Callable[[Vector, Vector], Vector]
+    slopes: Callable[[Vector, Vector], Vector]
+    fed_back: Truths | None = None
+    _known: dict[int, Vector] = field(init=False, default_factory=dict, repr=False)
+
+    @property
+    def grows(self) -> Truths:
+        """Which states may grow by acting on themselves, (nx,)."""
+        return np.ones(len(self.sizes), bool) if self.fed_back is None else self.fed_back
+
+    @property
+    def jumps(self) -> Integers:
+        """Rows before events, (m,)."""
+        return np.flatnonzero(np.diff(self.time) == 0)
+
+    @property
+    def begins(self) -> list[int]:
+        """The rows at the start and after the events before the longest times without one."""
+        rows = self.jumps + 1
+        lengths = np.diff(self.time[rows], append=self.time[-1])
+        return [0, *rows[np.argsort(-lengths, kind="stable")[:_MOST_SPANS]].tolist()]
+
+    def since(self, time: float) -> "StatePath":
+        """Return the path from a time on, s."""
+        first = int(self.time.searchsorted(time))
+        return replace(self, time=self.time[first:], states=self.states[:, first:])
+
+    def slopes_at(self, rows: Integers) -> Vector:
+        """Return the slopes at rows in nominal values, (m, nx, nx)."""
+        new = np.array([row for row in rows.tolist() if row not in self._known], dtype=int)
+        if len(new):
+            slopes = self.slopes(self.time[new], self.states[:, new])
+            scaled = slopes * self.sizes / self.sizes[:, None]
+            self._known.update(zip(new.tolist(), scaled, strict=True))
+        return np.array([self._known[row] for row in rows.tolist()])
+
+
+class Bends(NamedTuple):
+    """How far a motion leaves its lines between rows that are about a step of its solver apart.
+
+    Attributes:
+        rows: In which a motion that steps follow is never straight, (m,).
+        time: There, s, (m,).
+        sizes: Absolute values of the states at the ends of the gaps between them, (nx, m - 1).
+        bends: How far the states are there from where the gap before leads, (nx, m - 1).
+    """
+
+    rows: Integers
+    time: Vector
+    sizes: Vector
+    bends: Vector
+
+    @classmethod
+    def of(cls, path: StatePath, steps: int) -> "Bends":
+        """Return the bends of a path that a solver found in so many steps."""
+        t = path.time
+        wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
+        rows = np.unique(np.minimum(t.searchsorted(wanted), len(t) - 1))
+        t, x = t[rows], path.states[:, rows]
+        gaps = np.diff(t)
+        slopes = np.diff(x, axis=1) / gaps
+        if len(gaps) == 1:
+            before = path.rates(t[:1], x[:, :1])
+        else:
+            before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
+        return cls(rows, t, np.abs(x[:, 1:]), np.abs((slopes - before) * gaps))
+
+    def spans(self, relative: float, absolute: Vector, grows: Truths) -> list[Span]:
+        """Return the longest spans in which all states are lines, and in which some are."""
+        calm: Truths = self.bends <= relative * self.sizes + absolute[:, None]
+        growing = calm[grows]
+        if not growing.any():
+            return []
+        rows, t = self.rows, self.time
+        every = _longest(np.logical_and.reduce(calm), t)
+        some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
+        chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
+        return [
+            (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
+            for first, last in chosen
+        ]
+
+
+def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
+    """Return the longest spans of times, by their first and last place, whose gaps are calm."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], calm, [0])))).reshape(-1, 2)
+    edges = edges[np.diff(edges)[:, 0] >= min(_FEWEST, len(calm))]
+    spans = [(first, last) for first, last in edges.tolist()]
+    return sorted(spans, key=lambda span: float(t[span[0]] - t[span[1]]))[:_MOST_SPANS]
