@@ -14,6 +14,7 @@ RELATIONS = {
     *(ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN),
 }  # operations at whose switches there are events
 _GOLDEN = (5**0.5 - 1) / 2  # whose multiples spread evenly
+_SQUARES = 1e-150  # elements whose squares are not rounded to 0
 
 
 def operations(expression: SX) -> set[int]:
@@ -117,6 +118,8 @@ def linear_solution(matrix: MX, right: MX, *, transposed: bool = False) -> MX:
     """
     if not matrix.numel():
         return MX(*right.shape)
+    elements = matrix.nz[:]
+    matrix = MX(matrix.sparsity(), elements * (ca.fabs(elements) > _SQUARES))  # else NaN
     # eps: by default, a column of small elements is taken for a singularity
     method = ca.Linsol("linear_solution", "qr", matrix.sparsity(), {"eps": 0.0})
     return method.solve(matrix, right, transposed)

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.oscillators import blow_up
+from scipy.integrate import solve_ivp
 
 import cosim
 from casadi_models.dae import Model
@@ -101,3 +102,44 @@ def test_failure_of_a_smooth_model_names_no_kink():
     with pytest.raises(SolverError) as caught:
         simulate(blow_up(), solver="dop853")
     assert "switches" not in str(caught.value)
+
+
+def behind_a_bump(kind):
+    """A mass on a spring over a bump, whose slope is 1e-156 a while after it."""
+    model = Model(kind, stop_time=7.0)
+    s, h = model.state("s", "m", 0.0, "place"), model.state("h", "m", 0.01, "height")
+    v = model.state("v", "m/s", 0.0, "speed")
+    bump = ca.exp(-(((s - 35) / 1.84) ** 2))
+    a = bump
+    if kind == "unknowns":
+        a, b = (model.algebraic(name, "m", 0.0, "height") for name in "ab")
+        model.equation(a - b * bump - 1)
+        model.equation(b - a * bump / 2 - 0.2)
+    model.derivative(s, 10)
+    model.derivative(h, v)
+    model.derivative(v, -25 * h - v + a * bump)
+    return model.freeze()
+
+
+def height_behind_a_bump(kind):
+    def slope(t, x):
+        bump = np.exp(-(((10 * t - 35) / 1.84) ** 2))
+        a = (1 + 0.2 * bump) / (1 - bump**2 / 2) if kind == "unknowns" else bump
+        return [x[1], -25 * x[0] - x[1] + a * bump]
+
+    options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-14, "max_step": 0.01}
+    return solve_ivp(slope, (0, 7), [0.01, 0.0], **options).y[0, -1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "solver"),
+    [("bump", "rosenbrock"), *(("unknowns", s) for s in ("rosenbrock", "idas", "dop853", "fmu"))],
+)
+def test_elements_whose_squares_underflow_end_no_run(kind, solver, tmp_path):
+    if solver == "fmu":
+        path = cosim.export_fmu(behind_a_bump(kind), tmp_path / "bump.fmu", solver="rosenbrock")
+        run = cosim.simulate_fmu(path, interface="CoSimulation")
+    else:
+        run = cosim.simulate(behind_a_bump(kind), solver=solver)
+    # before: no start values, or steps of 1e-17 s
+    assert run["h"][-1] == pytest.approx(height_behind_a_bump(kind), abs=1e-7)

@@ -19,7 +19,14 @@ from cosim.codegen.fmu.derivatives import (
     sensitivity_formulas,
     sensitivity_functions,
 )
-from cosim.codegen.fmu.solver import DOP853, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
+from cosim.codegen.fmu.solver import (
+    DOP853,
+    FIXED_STEPS,
+    LOOK_STEPS,
+    ROSENBROCK,
+    most_steps,
+    uses_dop853,
+)
 from cosim.codegen.functions import CALL, Laws, driven_equations, hoisted, is_large
 from cosim.codegen.hybrid_laws import law_functions
 from cosim.codegen.initialization import (
@@ -158,6 +165,7 @@ def generated_code(
         return code
     given = "arg[2][2]"
     code = patched(code, "run_time_tolerances", relative=given, absolute=f"0.01 * {given}")
+    code = patched(code, "underflow") if solver == ROSENBROCK else code
     return patched(code, "differential_errors") if dae.algebraics else code
 
 

@@ -88,7 +88,7 @@ def _library(
             code = patched(code, patch)
         return f"{head}#define SETTINGS {_SETTINGS}\n{code}"
 
-    key = cache_key(f"generated-11 {method.name}", original, repr(sorted(COMMON.items())).encode())
+    key = cache_key(f"generated-12 {method.name}", original, repr(sorted(COMMON.items())).encode())
     return str(cached_library(key, generate, sources_beside(original))), constants
 
 
@@ -105,6 +105,7 @@ class Rosenbrock(_CasadiSolver):
     """An L-stable linearly implicit method, for stiff problems and DAEs."""
 
     name = "rosenbrock"
+    own_patches = ("underflow",)
     solves_dae = True
     uses_jacobian = True
 
