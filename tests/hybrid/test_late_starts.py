@@ -189,6 +189,23 @@ def test_what_slowly_leaves_its_boundary_does_so_on_any_time_scale(power, unit):
         assert cosim.simulate(model.freeze(), solver=solver).final["y"] == 0  # before: 2e-2 units
 
 
+@pytest.mark.parametrize("start", [0.0, 1e5, 1e9])
+@pytest.mark.parametrize(("power", "unit", "size"), [(3, 1e6, 1e-6), (4, 1e3, 1e-3), (5, 1e6, 1.0)])
+def test_what_slowly_leaves_its_boundary_in_slow_runs_does_so_at_once(power, unit, size, start):
+    """x = size (t / unit)^power / power!, by states that change within the unit."""
+    model = cosim.Model("departing", stop_time=unit, output_interval=unit / 4)
+    chain = [model.state(f"x{i}", "1", 0.0, "way") for i in range(power)]
+    n = model.discrete("n", "1", 0.0, "departures")
+    for this, following in zip(chain, [*chain[1:], size], strict=True):
+        model.derivative(this, following / unit)
+    model.when(chain[0] > 0, {n: n + 1}, name="departs")
+    dae = model.freeze()
+    for solver in ("dop853", "cvodes"):
+        run = cosim.simulate(dae, solver=solver, start_time=start, stop_time=start + unit)
+        # before: up to 1e-2 units later, and with dop853 too many steps from 1e5 s on
+        assert [event.time for event in run.events] == [start]
+
+
 @pytest.mark.quick_rows("cvodes-1700000000.0", "rk4-100000000.0")
 @pytest.mark.parametrize("start", [0.0, 1e7, 1e8, 1.7e9])
 @pytest.mark.parametrize("solver", ["dop853", "cvodes", "rk4"])

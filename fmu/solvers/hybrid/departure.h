@@ -58,10 +58,20 @@ static inline double rounding_of_rate(const Switching *s, const Seen *seen, int 
     return fmax(ROUNDING * seen->sizes[i], s->faint[i]);
 }
 
-/* Whether neither an argument's first derivative nor its second one is more than rounding. */
+/* The same where a motion is as slow as a look over a time. Quantities are then rounded as often as
+ * they change by their sizes in this time, not each second; terms that cancel always are. */
+static inline double rounding_of_slow_rate(const Switching *s, const Seen *seen, int i, double h) {
+    const double each_second = ROUNDING * seen->sizes[i];
+    return fmax(s->faint[i] - each_second, 0) + each_second / fmax(1, h);
+}
+
+/* Whether neither an argument's first derivative nor its second one is more than a rounding. */
+static inline bool is_at_most(const Seen *seen, int i, double rounding) {
+    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= rounding;
+}
+
 static inline bool seems_to_rest(const Switching *s, const Seen *seen, int i) {
-    const double most = fmax(fabs(seen->rates[i]), fabs(seen->seconds[i]));
-    return most <= rounding_of_rate(s, seen, i);
+    return is_at_most(seen, i, rounding_of_rate(s, seen, i));
 }
 
 /* Whether rounding decays: it has a second derivative, too, which does not turn the first one. */
@@ -79,7 +89,9 @@ static inline bool rests_after(const Laws *laws, const Switching *s, const Point
                                const Seen *seen, double h, const bool which[]) {
     Seen later;
     bool rest = look_after(laws, s, from, seen, h, &later);
-    for (int i = 0; i < MODES; i++) rest = rest && !(which[i] && !seems_to_rest(s, &later, i));
+    for (int i = 0; i < MODES; i++)
+        rest = rest &&
+               (!which[i] || is_at_most(&later, i, rounding_of_slow_rate(s, &later, i, h)));
     return rest;
 }
 
@@ -106,14 +118,18 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
     any = !near_rest || (span > 1 && !rests_after(laws, s, from, seen, FARTHEST * span, open));
     int known = 0;
     const double rounded = fmin(SAME_TIME * fabs(from->t), NEAR_ENOUGH * last);
-    for (double h = fmax(NEAREST * scale, rounded); any && h <= FARTHEST * span; h *= FURTHER) {
+    const double nearest = fmax(NEAREST * scale, rounded);
+    double h = FARTHEST * span; /* the last look, which tells most */
+    while (h / FURTHER >= nearest) h /= FURTHER;
+    for (; any && h <= FARTHEST * span; h *= FURTHER) {
         looks[0] = looks[1];
         looks[1] = looks[2];
         if (!look_after(laws, s, from, seen, h, &looks[2])) return;
         if (++known < 3) continue;
         for (int i = 0; i < MODES; i++) {
             const double a = looks[0].seconds[i], b = looks[1].seconds[i];
-            const double tiny = rounding_of_rate(s, seen, i) / fmax(1, h / (FURTHER * FURTHER));
+            const double first = h / (FURTHER * FURTHER);
+            const double tiny = rounding_of_slow_rate(s, seen, i, first) / fmax(1, first);
             const double most = h <= last ? MOST_GROWTH : MOST_GROWTH_FAR;
             if (!open[i] || !grows_steadily(a, b, looks[2].seconds[i], tiny, most)) continue;
             seen->departs[i] = a > 0 ? INFINITY : -INFINITY;
