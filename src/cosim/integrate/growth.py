@@ -19,8 +19,7 @@ from cosim.model.growth import (
     Closer,
     Growth,
     growth_from_start,
-    stays_suppressed,
-    suppressed_growth,
+    unfollowed_growth,
 )
 from cosim.model.solver import AdaptiveSolver, Tolerance
 from cosim.model.state_path import StatePath
@@ -49,21 +48,19 @@ def followed_growth(
     growth = None if ended else growth_in(motion, solver.tolerance)
     if growth is None:
         return motion
-    sizes, steps = _sizes(motion, solver.tolerance), motion.counts.steps or 0
     closer = growth.closer(relative, absolute)
     if growth.rounding:
         return _noted(motion, growth.note(closer, absolute, False))
-    followed = run(closer)
-    later = None if followed.reason else growth_in(followed, solver.tolerance, closer.until)
-    if later and not later.rounding:
-        closer = later.closer(relative, absolute, closer)
+    for _ in range(2):
         followed = run(closer)
-    if followed.reason == INTERRUPTED:
-        return followed
+        if followed.reason == INTERRUPTED:
+            return followed
+        later = None if followed.reason else growth_in(followed, solver.tolerance, closer)
+        if later is None or later.rounding or later.time < closer.until:
+            break
+        closer = later.closer(relative, absolute, closer)
     found = motion if followed.reason else followed
-    helps = found is followed and not stays_suppressed(
-        _path(found, sizes), steps, relative, absolute
-    )
+    helps = found is followed and (later is None or later.rounding)
     return _noted(found, growth.note(closer, absolute, helps))
 
 
@@ -89,7 +86,8 @@ def _with_digits(
     for trial in range(MOST_TRIALS + 1):
         if INTERRUPTED in (seen.reason, motion.reason):
             return replace(motion, reason=INTERRUPTED), False
-        trough = _trough(seen, sizes, tolerance, shares)
+        path, complete = _path(seen, sizes), not seen.reason
+        trough = deepest_trough(path, tolerance, shares, complete=complete)
         if trough is None or trial == MOST_TRIALS:
             break
         shares = trough.shares
@@ -135,24 +133,12 @@ def may_grow_again(dae: Dae) -> bool:
     return bool(np.any(group & grows & shrinks))
 
 
-def _trough(
-    motion: Motion, sizes: Vector, tolerance: tuple[float, float], shares: Vector
-) -> Trough | None:
-    return deepest_trough(_path(motion, sizes), tolerance, shares, complete=not motion.reason)
-
-
-def growth_in(motion: Motion, tolerance: Tolerance, begin: float = -np.inf) -> Growth | None:
-    """Return the smallest deviation that a motion suppresses; see `suppressed_growth`.
-
-    Args:
-        motion: The motion.
-        tolerance: Of its solver.
-        begin: From when on, s.
-    """
+def growth_in(motion: Motion, tolerance: Tolerance, closer: Closer | None = None) -> Growth | None:
+    """Return the smallest deviation that a motion does not follow; see `unfollowed_growth`."""
     if not any_grows(motion.dae):
         return None
-    path = _path(motion, _sizes(motion, tolerance)).since(begin)
-    return suppressed_growth(path, motion.counts.steps or 0, *tolerance.pair)
+    path = _path(motion, _sizes(motion, tolerance))
+    return unfollowed_growth(path, motion.counts.steps or 0, *tolerance.pair, closer)
 
 
 def _sizes(motion: Motion, tolerance: Tolerance) -> Vector:

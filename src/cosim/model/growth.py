@@ -127,21 +127,6 @@ def suppressed_growth(
     return None
 
 
-def unfollowed_growth(
-    path: StatePath, steps: int, relative: float, absolute: float, closer: Closer | None
-) -> Growth | None:
-    """Return the smallest deviation that a run with smaller tolerances has not followed.
-
-    Args:
-        path, steps, relative, absolute: See `suppressed_growth`.
-        closer: The smaller tolerances; None if there are none.
-    """
-    facts = steps, relative, absolute
-    if closer is None or stays_suppressed(path, *facts):
-        return suppressed_growth(path, *facts)
-    return suppressed_growth(path.since(closer.until), *facts)
-
-
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
     for level in _levels(relative, absolute):
@@ -155,13 +140,9 @@ _Line = tuple[StatePath, int, int, Truths]
 
 
 class _Level(NamedTuple):
-    """What is looked for, in nominal values.
+    """What is looked for: a change that is calm, what is visible, the error of a deviation.
 
-    Attributes:
-        calm: Change of what is a line.
-        least: What is visible.
-        error: Of a deviation.
-        few: Size of a deviation of which more than half of the digits are lost.
+    Of one that is smaller than `few`, more than half of the digits are lost.
     """
 
     calm: float
@@ -201,22 +182,28 @@ def controlled_half(relative: float, absolute: float) -> float:
     return float(absolute / np.sqrt(relative or 1.0))
 
 
-def stays_suppressed(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
-    """Return whether a motion is a line where a deviation would long have become visible.
+def unfollowed_growth(
+    path: StatePath, steps: int, relative: float, absolute: float, closer: Closer | None
+) -> Growth | None:
+    """Return the smallest deviation that a run has not followed, as after `Closer.until`.
 
-    A smaller absolute tolerance helps where the relative one does not hide the deviation.
+    A smaller absolute tolerance helps where the relative one does not hide a deviation: where it
+    does, the motion is a line although the deviation would long have become visible.
 
     Args:
-        path, steps, relative, absolute: See `suppressed_growth`; of a run that follows deviations.
+        path, steps, relative, absolute: See `suppressed_growth`.
+        closer: The smaller tolerances of the run; None if there are none.
     """
+    if closer is None:
+        return suppressed_growth(path, steps, relative, absolute)
     spans = Bends.of(path, steps).spans(relative, absolute * path.sizes, path.grows)
     hidden = absolute / relative if relative else np.inf
     for first, last, calm in spans:
         line = replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1])
         growth = growth_along(line, first, last, calm, hidden)
         if growth and not growth.rounding:
-            return True
-    return False
+            return growth
+    return suppressed_growth(path.since(closer.until), steps, relative, absolute)
 
 
 def _first_lines(path: StatePath, row: int, relative: float, absolute: float) -> Iterator[_Line]:

@@ -25,7 +25,7 @@ class StatePath:
         rates: Returns dx/dt, (nx, m), at times, s, (m,), and states, (nx, m).
         slopes: Returns the derivatives of dx/dt by the states, (m, nx, nx), at times, s, (m,), and
             states, (nx, m); not finite where they have no value.
-        fed_back: Which states may grow by acting on themselves, (nx,); all if None.
+        grows: Which states may grow by acting on themselves, (nx,).
     """
 
     names: Sequence[str]
@@ -34,13 +34,8 @@ class StatePath:
     sizes: Vector
     rates: Callable[[Vector, Vector], Vector]
     slopes: Callable[[Vector, Vector], Vector]
-    fed_back: Truths | None = None
+    grows: Truths
     _known: dict[int, Vector] = field(init=False, default_factory=dict, repr=False)
-
-    @property
-    def grows(self) -> Truths:
-        """Which states may grow by acting on themselves, (nx,)."""
-        return np.ones(len(self.sizes), bool) if self.fed_back is None else self.fed_back
 
     @property
     def jumps(self) -> Integers:

@@ -155,7 +155,8 @@ class Deviations:
     ) -> StatePath:
         times, states = zip(*rows, strict=True)
         sizes = nominals_of(self._instance, len(self.names))
-        return StatePath(self.names, np.array(times), np.array(states).T, sizes, rates, slopes)
+        columns = np.array(times), np.array(states).T, sizes
+        return StatePath(self.names, *columns, rates, slopes, np.ones(len(sizes), dtype=bool))
 
     def _block(self, getter: Any) -> Vector:
         values = (c_double * len(self.names))()
