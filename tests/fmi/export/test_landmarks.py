@@ -57,6 +57,16 @@ def test_no_importer_steps_over_a_bump_that_parameters_move(fmi, tmp_path):
     np.testing.assert_allclose(moved, after_an_impulse(area * 1e-2, 33.3), rtol=1e-3)  # before: 0
 
 
+@pytest.mark.parametrize("solver", ["rk4", "ode8"])
+def test_fixed_steps_end_at_a_bump(solver, tmp_path):
+    """Its width is a thousandth of a step; native fixed steps only say that they pass over it."""
+    dae = on_road(gauss, place=PLACE, width=WIDTH)
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu", solver=solver, step_size=0.05)
+    run = cosim.simulate_fmu(path, interface="CoSimulation")
+    right = after_an_impulse(HEIGHT * np.sqrt(np.pi) * WIDTH)
+    assert run["x_2"][-1] == pytest.approx(right, rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["linear", "bspline"])
 def test_no_importer_steps_over_a_bump_of_a_table(kind, tmp_path):
