@@ -65,13 +65,14 @@ static inline double rounding_of_slow_rate(const Switching *s, const Seen *seen,
     return fmax(s->faint[i] - each_second, 0) + each_second / fmax(1, h);
 }
 
-/* Whether neither an argument's first derivative nor its second one is more than a rounding. */
-static inline bool is_at_most(const Seen *seen, int i, double rounding) {
-    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i])) <= rounding;
+/* The larger one of an argument's first and second derivative. */
+static inline double motion_of(const Seen *seen, int i) {
+    return fmax(fabs(seen->rates[i]), fabs(seen->seconds[i]));
 }
 
+/* Whether neither is more than rounding. */
 static inline bool seems_to_rest(const Switching *s, const Seen *seen, int i) {
-    return is_at_most(seen, i, rounding_of_rate(s, seen, i));
+    return motion_of(seen, i) <= rounding_of_rate(s, seen, i);
 }
 
 /* Whether rounding decays: it has a second derivative, too, which does not turn the first one. */
@@ -89,9 +90,10 @@ static inline bool rests_after(const Laws *laws, const Switching *s, const Point
                                const Seen *seen, double h, const bool which[]) {
     Seen later;
     bool rest = look_after(laws, s, from, seen, h, &later);
-    for (int i = 0; i < MODES; i++)
-        rest = rest &&
-               (!which[i] || is_at_most(&later, i, rounding_of_slow_rate(s, &later, i, h)));
+    for (int i = 0; i < MODES; i++) {
+        const bool rests = motion_of(&later, i) <= rounding_of_slow_rate(s, &later, i, h);
+        rest = rest && (rests || !which[i]);
+    }
     return rest;
 }
 

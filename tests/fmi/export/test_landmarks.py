@@ -59,7 +59,7 @@ def test_no_importer_steps_over_a_bump_that_parameters_move(fmi, tmp_path):
 
 @pytest.mark.parametrize("solver", ["rk4", "ode8"])
 def test_fixed_steps_end_at_a_bump(solver, tmp_path):
-    """Its width is a thousandth of a step; native fixed steps only say that they pass over it."""
+    """Its width is a 500th of a step; native fixed steps only say that they pass over it."""
     dae = on_road(gauss, place=PLACE, width=WIDTH)
     path = cosim.export_fmu(dae, tmp_path / "x.fmu", solver=solver, step_size=0.05)
     run = cosim.simulate_fmu(path, interface="CoSimulation")

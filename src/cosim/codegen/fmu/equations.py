@@ -19,14 +19,7 @@ from cosim.codegen.fmu.derivatives import (
     sensitivity_formulas,
     sensitivity_functions,
 )
-from cosim.codegen.fmu.solver import (
-    DOP853,
-    FIXED_STEPS,
-    LOOK_STEPS,
-    ROSENBROCK,
-    most_steps,
-    uses_dop853,
-)
+from cosim.codegen.fmu.solver import DOP853, ERK, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.codegen.functions import CALL, Laws, driven_equations, hoisted, is_large
 from cosim.codegen.hybrid_laws import law_functions
 from cosim.codegen.initialization import (
@@ -165,7 +158,7 @@ def generated_code(
         return code
     given = "arg[2][2]"
     code = patched(code, "run_time_tolerances", relative=given, absolute=f"0.01 * {given}")
-    code = patched(code, "underflow") if solver == ROSENBROCK else code
+    code = code if solver == ERK else patched(code, "underflow")
     return patched(code, "differential_errors") if dae.algebraics else code
 
 
