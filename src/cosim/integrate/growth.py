@@ -86,8 +86,8 @@ def _with_digits(
     for trial in range(MOST_TRIALS + 1):
         if INTERRUPTED in (seen.reason, motion.reason):
             return replace(motion, reason=INTERRUPTED), False
-        path, complete = _path(seen, sizes), not seen.reason
-        trough = deepest_trough(path, tolerance, shares, complete=complete)
+        seen_path = _path(seen, sizes)
+        trough = deepest_trough(seen_path, tolerance, shares, complete=not seen.reason)
         if trough is None or trial == MOST_TRIALS:
             break
         shares = trough.shares

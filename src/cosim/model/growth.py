@@ -209,7 +209,8 @@ def unfollowed_growth(
 def _first_lines(path: StatePath, row: int, relative: float, absolute: float) -> Iterator[_Line]:
     """Yield lines from a row that are ones to the tolerance, with rows along them."""
     t, x = path.time, path.states[:, [row]]
-    begin, rate = t[row], path.rates(t[[row]], x)
+    begin = t[row]
+    rate = path.rates(t[[row]], x)
     shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
     lengths = (t[-1] - begin) * shares
     ends = x + lengths * rate
@@ -341,7 +342,8 @@ def growth_along(
     rows = np.unique([course.first, (course.first + last) // 2, last])
     f = path.rates(t[rows], line[:, rows]) / sizes[:, None]
     rounding = np.abs(course.slopes) @ np.abs(path.states[:, rows] / sizes[:, None])
-    times, count = np.append(t[rows], t[jumps]), len(rows)
+    count = len(rows)
+    times = t[np.append(rows, jumps)]
     found = list[Growth]()
     for value, direction in zip(course.values, course.directions, strict=True):
         push = np.abs(direction @ np.hstack((f, abs(value) * changes)))
@@ -362,7 +364,8 @@ def growth_along(
         if (rising & seen).any():
             state = path.names[int(np.argmax(np.abs(direction) * path.grows))]
             k = int(np.argmin(np.where(rising & seen, push, np.inf)))
-            begin, size = float(times[k]), float(push[k]) / abs(value)
+            begin = float(times[k])
+            size = float(push[k]) / abs(value)
             grown = exponents - np.interp(begin, course.time, exponents)
             wanted = -np.log(size)
             until = np.interp(wanted, grown, course.time) + max(wanted - grown[-1], 0) / value.real

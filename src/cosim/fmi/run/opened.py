@@ -105,7 +105,8 @@ class OpenedFmu:
         """
         found, lost = self._run(request, master)
         trials = MOST_TRIALS if isinstance(lost, Trough) else 2
-        relative, closer = request.relative_tolerance, None
+        relative = request.relative_tolerance
+        closer = request.closer
         text = _growth(found) if self.interface is Interface.CO_SIMULATION else ""
         while lost and trials:
             trials -= 1
