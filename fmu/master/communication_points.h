@@ -172,9 +172,11 @@ static inline int back_to_event(Coupling *self) {
     const int here = same_time(self->system, self->event, self->now.t);
     self->inevitable |= self->event > self->next.t && self->event == self->missed;
     if (++self->unreached > MOST_UPDATES) return STUCK;
-    if (restore_all_but(self, here ? self->system->parts + self->system->part : NULL))
+    const long long part = self->system->part;
+    if (restore_all_but(self, here && !self->ends ? self->system->parts + part : NULL))
         return CALL_FAILED;
     if (!here) return DONE;
+    if (self->ends) return end_here(self);
     self->event = INFINITY;
     if (++self->standstills > MOST_UPDATES) return STUCK;
     const int how = pass_events(self);
@@ -213,6 +215,8 @@ static inline int arrive(Coupling *self) {
         const int how = check_row(self, system->rows);
         if (how != DONE) return how;
     }
+    for (long long p = 0; p < system->n_parts; ++p)
+        if (system->parts[p].ends) return give_up(self, p), end_here(self);
     int how = pass_events(self);
     if (how == DONE && system->rows < system->points &&
         same_time(system, system->times[system->rows], self->now.t))

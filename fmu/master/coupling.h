@@ -13,8 +13,8 @@
 
 enum { MOST_FORCED = 1000 };
 
-static const double SAFE = 0.8, SHORTER = 0.2;      /* of macro steps */
-static const double SHORTEST = 1e-9, LONGEST = 0.1; /* macro steps, of the span */
+static const double SAFE = 0.8, SHORTER = 0.2; /* of macro steps */
+static const double LONGEST = 0.1;             /* macro step, of the span */
 static const double AFTER_START = 5; /* times the one before, where no prediction is needed */
 static const double CRAWLS = 1e-10;  /* length of steps between events, of the given one */
 static const double MOST_BY_RATE = 4.0 / 27; /* of s (1 - s)^2, which a rate adds to a cubic */

@@ -18,6 +18,7 @@ enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
 /* Differences that iterations leave, of the correction: where the error of a step is estimated, and
  * where the step is given. */
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
+static const double SHORTEST = 1e-9; /* macro step, of the span */
 static const double DIVERGED = 1e3; /* times the difference of the first pass */
 
 /* The cubic of an input within the macro step by its derivatives at the time `since` its start; one
@@ -200,7 +201,9 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
         const int last = !records && !compares;
         const double to = compares ? middle : stop;
         const int how = to > t ? advance(self, part, t, to) : STEPPED;
-        if (how == AT_EVENT && last && same_time(system, part->reached, end)) return STEPPED;
+        const double before = how == PART_ENDED ? SHORTEST * (system->stop - system->start) : 0;
+        const int stops = part->reached >= end - before || same_time(system, part->reached, end);
+        if (last && stops && (how == AT_EVENT || how == PART_ENDED)) return STEPPED;
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
@@ -313,11 +316,14 @@ static inline int may_be_shortened(const Coupling *self) {
 /* What a part that did not make its step means for the macro step. */
 static inline int after_failed_step(Coupling *self, int how) {
     System *system = self->system;
-    if (how == AT_EVENT) {
-        self->event = system->parts[system->part].reached;
+    const double reached = system->parts[system->part].reached;
+    self->ends = how == PART_ENDED;
+    /* at the start of a step that may be shorter, a part may not tell how far it comes */
+    const int tells = !may_be_shortened(self) || !same_time(system, reached, self->now.t);
+    if (how == AT_EVENT || (self->ends && self->ends_at_events && tells)) {
+        self->event = reached;
         return EVENT_WITHIN;
     }
-    self->ends = how == PART_ENDED;
     self->reason = how == PART_ENDED         ? ENDED_BY_FMU
                    : how == INPUT_NOT_FINITE ? NOT_A_NUMBER
                                              : CALL_FAILED;

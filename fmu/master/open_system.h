@@ -251,7 +251,7 @@ SHARED long long numbers_of_coupled(System *system, double *place, int in) {
         copy_numbers(&place, &part->next_event, 1, in);
         copy_count(&place, &part->violations, in);
         if (!in) continue;
-        part->waits = 0;
+        part->waits = part->ends = 0;
         part->in_step_mode = part->event_mode; /* as between macro steps */
     }
     if (!in) return count;

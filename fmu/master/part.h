@@ -27,6 +27,7 @@ typedef struct {
     long long violations, kept; /* of validity conditions: so far; at `saved` */
     long long waits;            /* whether an event is to happen where it is */
     long long in_step_mode;     /* unless it is in event mode, or has not begun */
+    long long ends;             /* whether it has ended the run where it is */
     double reached;
     double next_event, kept_next; /* the time of the event that it has announced; at `saved` */
     void *saved;                  /* its state at the last communication point; NULL at first */
@@ -49,7 +50,7 @@ static inline int part_get(Fmu *fmu, const Part *self, double *y) {
 
 static inline int part_set(Fmu *fmu, const Part *self, const double *u) {
     calls_of(fmu, self);
-    return set_row(fmu, self->in_step_mode ? self->steady : self->given, u);
+    return !self->ends && set_row(fmu, self->in_step_mode ? self->steady : self->given, u);
 }
 
 /* Reads arrays of which only some elements are inputs here; `u` is for its inputs. */
@@ -123,7 +124,7 @@ static inline int part_save(Fmu *fmu, Part *self) {
 
 static inline int part_restore(Fmu *fmu, Part *self) {
     ++self->restored;
-    self->waits = 0;
+    self->waits = self->ends = 0;
     self->violations = self->kept;
     self->next_event = self->kept_next;
     const Functions *call = calls_of(fmu, self);
@@ -161,18 +162,19 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
         int terminated = 0;
         if (call->get_boolean_status)
             call->get_boolean_status(call->instance, TERMINATED, &terminated);
-        if (terminated) {
-            self->reached = time;
-            call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &self->reached);
-            return PART_ENDED;
-        }
-        failed(fmu, function, status);
-        return NOT_STEPPED;
+        if (!terminated) return failed(fmu, function, status), NOT_STEPPED;
+        terminate = true;
+        last = time;
+        call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &last);
+    } else if (failed(fmu, function, status)) {
+        return PART_FAILED;
     }
-    if (failed(fmu, function, status)) return PART_FAILED;
     const double end = time + length; /* an event just behind it may have been reached already */
     self->reached = early || terminate ? last : event ? fmax(last, end) : end;
+    if (terminate) /* not all files tell where */
+        self->reached = last >= time ? fmin(last, end) : status == DISCARD ? time : end;
     self->waits = event && self->event_mode;
+    self->ends = terminate;
     return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;
 }
 
@@ -195,7 +197,8 @@ static inline int part_update(Fmu *fmu, Part *self) {
     calls_of(fmu, self);
     if (update(fmu, &events)) return PART_FAILED;
     self->next_event = events.next_defined ? events.next : INFINITY;
-    return events.terminate ? PART_ENDED : STEPPED;
+    self->ends = events.terminate;
+    return self->ends ? PART_ENDED : STEPPED;
 }
 
 #endif

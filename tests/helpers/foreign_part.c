@@ -13,7 +13,7 @@ enum { PLANT, CONTROLLER, LAG, HOLDER };
 
 typedef struct {
     double time, x, u, slope, rate;
-    int stepped, is_fatal;
+    int stepped, is_fatal, ended;
 } Instance;
 
 static void *living(void *instance) {
@@ -207,7 +207,7 @@ API int fmi2GetIntegerStatus(void *c, int kind, int *value) {
     return (void)c, (void)kind, (void)value, 4;
 }
 API int fmi2GetBooleanStatus(void *c, int kind, int *value) {
-    return (void)c, (void)kind, *value = 0, 0;
+    return (void)kind, *value = ((Instance *)c)->ended, 0;
 }
 API int fmi2GetStringStatus(void *c, int kind, const char **value) {
     return (void)c, (void)kind, (void)value, 4;

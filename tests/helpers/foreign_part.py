@@ -63,7 +63,8 @@ def foreign_part(
         kind: plant, v' = (u + 10)/3, y = v; controller with integral part and limited output;
             lag, x' = u - x, y = x; holder, x' = 0, y = x.
         fault: C statements at the begin of each step, or in model exchange of each evaluation of
-            the derivative; `self`, `time` and `size` are known there.
+            the derivative; `self`, `time` and `size` are known there. A step that returns 2 ends
+            the run where `self->ended` is set.
             A dictionary has those of MADE, where it is instantiated, and of READY, where its
             initialization ends, with `self`.
         grid: The state after a step is rounded to a multiple of this number.

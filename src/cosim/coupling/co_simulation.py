@@ -51,7 +51,7 @@ from cosim.fmi.run.request import column_of, numeric_names, rounding
 from cosim.host.last_call import noted_calls
 from cosim.host.progress import doing
 from cosim.host.signals import interruptible
-from cosim.model.times import time_grid
+from cosim.model.times import one_time, time_grid
 from cosim.series.samples import below
 from cosim.text import moment, one_note
 from cosim.trajectory import Column, Event, Trajectory
@@ -62,6 +62,7 @@ _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _COARSE = 1e-2  # accuracy of the first run where noise cannot be measured
 _TIGHTEST = 1e-13
+_MOST_ENDS = 5  # runs to the time at which a part ends, which they may move
 
 
 @dataclass(frozen=True)
@@ -288,17 +289,29 @@ class CoSimulation:
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 
     def _once(
-        self, task: _Task, tolerance: float, of_parts: float, share: float = 1.0
+        self,
+        task: _Task,
+        tolerance: float,
+        of_parts: float,
+        share: float = 1.0,
+        ends: tuple[float, ...] = (),
     ) -> tuple[Trajectory, Truths, Ranges]:
         """Simulate once; return the run, which output times lie at jumps, (times,), and ranges.
+
+        Where a part ends the run within a macro step that cannot be taken back, it runs again, with
+        a macro step that ends there.
 
         Args:
             task: What to simulate.
             tolerance, of_parts: Of the coupling, and of the solvers of the parts.
             share: Of the first run's tolerance; the first and the longest macro steps follow it.
+            ends: Where a part has ended the runs before, s.
         """
         settings = task.settings
         times = time_grid(settings.start, settings.stop, settings.interval)
+        if ends:
+            after = (times > ends[-1]) | one_time(times, ends[-1], settings.start)
+            times[int(np.argmax(after))] = ends[-1]
         rows = Rows.of(times, task.columns)
         span = settings.stop - settings.start
         lengths = (settings.macro_step, settings.interval, span)
@@ -324,8 +337,13 @@ class CoSimulation:
             doing("solving", done),
             interruptible(coupling_library()) as interrupts,
         ):
-            if system.begin():
-                system.advance(settings.stop)
+            for goal in (*ends[-1:], settings.stop) if system.begin() else ():
+                if system.is_done:
+                    system.advance(goal)
+        end = system.end
+        fixed = bool(steps.quantum or steps.of_parts)
+        if end > system.c.time and end not in ends and len(ends) < _MOST_ENDS and not fixed:
+            return self._once(task, tolerance, of_parts, share, (*ends, end))
         run = self._result(system, settings, rows, bool(interrupts))
         if lost := system.lost_state():
             why = f"{lost} at the end of the run"
@@ -365,8 +383,8 @@ class CoSimulation:
         if system.how == Ending.ENDED_BY_FMU:
             name = list(self.parts)[system.part]
             why = why_it_ended(self.parts[name].instance.log_texts)
-            stats |= {"stop": f"{why} (part '{name}') from {system.time:.12g} s on"}
-            stats |= {"stop_time": float(system.time)}
+            stats |= {"stop": f"{why} (part '{name}') from {opened.end:.12g} s on"}
+            stats |= {"stop_time": opened.end}
         stats |= invalidity(violations(self.wiring))
         run = Trajectory(
             self.name,

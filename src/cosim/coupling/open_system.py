@@ -159,6 +159,12 @@ class OpenSystem:
         """Whether the last call has done what it was to do; otherwise `c` tells why not."""
         return bool(self.c.how == Ending.DONE)
 
+    @property
+    def end(self) -> float:
+        """Where a part has ended the run, maybe within a macro step, s; else the present time."""
+        ended = self.c.how == Ending.ENDED_BY_FMU
+        return float(max(self.c.time, self.parts[self.c.part].reached if ended else -np.inf))
+
     def begin(self) -> bool:
         """Settle the start, and take the parts out of initialization mode; see `is_done`."""
         library = coupling_library()
@@ -218,7 +224,7 @@ class OpenSystem:
             place.input_references, place.output_references = (r.ctypes.data for r in references)
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
-            place.event_mode = part.event_mode
+            place.event_mode, place.reached = part.event_mode, -np.inf
             part.instance.violations.counter = place
             place.own_step = own_step.get(name, 0.0)
         return parts, alive

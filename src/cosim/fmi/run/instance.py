@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from itertools import count
 from math import inf
@@ -290,9 +290,15 @@ def _checked_class(second: bool, exchange: bool) -> type:
         try:
             base.doStep(self, time, size)
         except FMICallException as error:
-            if error.status != fmi2.fmi2Discard or not self.getBooleanStatus(fmi2.fmi2Terminated):
+            ends, last = False, time
+            with suppress(FMICallException):  # a file need not tell
+                ends = error.status == fmi2.fmi2Discard and self.getBooleanStatus(
+                    fmi2.fmi2Terminated
+                )
+                last = self.getRealStatus(fmi2.fmi2LastSuccessfulTime) if ends else time
+            if not ends:
                 raise
-            return False, True, True, self.getRealStatus(fmi2.fmi2LastSuccessfulTime)
+            return False, True, True, last if last >= time else time
         return False, False, False, time + size
 
     def method_of_fmi_3(self: Any, name: str) -> Any:

@@ -300,7 +300,7 @@ def _plain_step(instance: Any) -> _Step:
         _, ends, early, last = instance.doStep(begin, end - begin)
         if early and not ends:
             raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
-        return last if ends and last >= begin else end, ends  # 0 is that of files without one
+        return min(last, end) if ends and last >= begin else end, ends  # 0: of files without one
 
     return step
 
