@@ -414,6 +414,8 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     as_vector(self, &self->next, predicted);
     if (iterates) predict(self, MOST_POINTS, &self->next);
     as_vector(self, &self->next, w);
+    as_vector(self, &self->now, self->best); /* constant inputs, which no part should reject */
+    memset(self->best + m, 0, (size_t)m * sizeof *self->best);
     double first = 0, best = INFINITY;
     self->ends = 0;
     int agreed = !iterates, idle = 0, final = 0;
@@ -422,11 +424,13 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         const int recording = records && (agreed || final || pass >= self->agreed_at);
         self->mismatch = 0;
         const int how = step_parts(self, pass, recording);
-        if (how == NOT_STEPPED && isfinite(best) && !final && !may_be_shortened(self) &&
-            is_discarded(&self->fmu)) {
+        const int begins = !isfinite(best);
+        if (how == NOT_STEPPED && iterates && !final && !may_be_shortened(self) &&
+            (pass == 0 || !begins)) {
+            self->fmu.function = NULL;
             memcpy(w, self->best, (size_t)n * sizeof *w); /* the last one led astray */
             from_vector(self, w, &self->next);
-            final = 1;
+            final = !begins;
             continue;
         }
         if (how != STEPPED) return after_failed_step(self, how);
@@ -438,7 +442,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
         const double left = largest(n, self->change, NULL);
         const double correction = largest(n, self->found, predicted);
-        if (pass == 0) first = left;
+        if (begins) first = left;
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
         const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
@@ -457,7 +461,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         else if (final)
             memcpy(w, self->best, (size_t)n * sizeof *w);
         else
-            accelerate(&self->iteration, w, self->change, pass == 0);
+            accelerate(&self->iteration, w, self->change, begins);
         from_vector(self, w, &self->next);
     }
     if (!agreed && !is_small_enough(self, best)) {

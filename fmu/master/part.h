@@ -145,7 +145,8 @@ static inline int part_record(Fmu *fmu, const Part *self, long long row) {
 enum { STEPPED, NOT_STEPPED, AT_EVENT, PART_ENDED, PART_FAILED, INPUT_NOT_FINITE };
 
 /* A communication step, after which a state may be restored. A part that ends the run within it
- * says so; one that discards the step may take a shorter one. It may reach an event only. */
+ * says so; one that does not make the step may take a shorter one, or one with other inputs. It may
+ * reach an event only. */
 static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     const Functions *call = calls_of(fmu, self);
     bool event = false, terminate = false, early = false;
@@ -166,8 +167,8 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
         terminate = true;
         last = time;
         call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &last);
-    } else if (failed(fmu, function, status)) {
-        return PART_FAILED;
+    } else if (failed(fmu, function, status)) { /* from an error, a saved state leads back */
+        return status == FAILED && self->saved ? NOT_STEPPED : PART_FAILED;
     }
     const double end = time + length; /* an event just behind it may have been reached already */
     self->reached = early || terminate ? last : event ? fmax(last, end) : end;
