@@ -15,7 +15,7 @@ from cosim.coupling.own_steps import OwnSteps
 from cosim.coupling.settings import Method, Settings
 from cosim.coupling.wiring import Wiring
 from cosim.fmi.run.c_structures import Ending
-from cosim.fmi.run.description import by_name
+from cosim.fmi.run.description import by_name, nominal_of
 from cosim.fmi.run.typed_values import start_number
 
 _Result = TypeVar("_Result")
@@ -231,6 +231,6 @@ class OpenSystem:
 
     def _scales(self) -> tuple[Vector, NDArray[np.int64]]:
         """Return the sizes of the inputs, and whether they grow as their FMU declares none."""
-        variables = self._wiring.variables
-        scale = np.array([float(v.nominal or 1.0) for v in variables] + [1.0])
-        return scale, np.array([v.nominal is None for v in variables] + [False], dtype=np.int64)
+        nominals = [*map(nominal_of, self._wiring.variables)]
+        scale = np.array([value or 1.0 for value in nominals] + [1.0])
+        return scale, np.array([value is None for value in nominals] + [False], dtype=np.int64)

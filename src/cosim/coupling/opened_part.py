@@ -13,7 +13,7 @@ from cosim.coupling.exchange_part import ExchangeSolver
 from cosim.errors import FmuError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Element, Layout
 from cosim.fmi.run.c_structures import Calls, Functions, Recorded
-from cosim.fmi.run.description import Interface, asks_for_inputs, by_name, is_second
+from cosim.fmi.run.description import Interface, abilities_of, asks_for_inputs, by_name, is_second
 from cosim.fmi.run.instance import begin_initialization
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.run.request import lost_state
@@ -90,8 +90,7 @@ class OpenedPart:
         self.solver: ExchangeSolver | None = None  # of a part for model exchange, while it runs
         self._callback = 0  # of it
         known, exchange = by_name(fmu.description), fmu.interface is Interface.MODEL_EXCHANGE
-        abilities = fmu.description.modelExchange if exchange else fmu.description.coSimulation
-        self.abilities = abilities
+        self.abilities = abilities = abilities_of(fmu.description, fmu.interface)
         self.moving_inputs, self.inputs = _in_order([known[n] for n in inputs], is_continuous)
         self.moving_outputs, self.outputs = _in_order([known[n] for n in outputs])
         all_move = self.inputs == self.moving_inputs and self.outputs == self.moving_outputs

@@ -64,6 +64,9 @@ DESCRIBED = {
     "REFERS": set_attributes("ModelStructure/Outputs/Unknown", dependencies="4711"),
     "SOURCES": set_attributes("CoSimulation/SourceFiles/File", name="gone.c"),
     "TOKEN_ELSEWHERE": set_attributes(".", guid="{another}"),
+    "ABILITY": set_attributes("CoSimulation", canGetAndSetFMUstate="false"),
+    "EXECUTION_TOOL": set_attributes("CoSimulation", needsExecutionTool="true"),
+    "SHARED_START": set_attributes(VARIABLE.format("m"), valueReference="2"),
 }
 
 
@@ -155,6 +158,45 @@ def test_rule_fires_on_its_fault_and_not_without_it(rule, exported, tmp_path):
     assert all(f.place and f.found and f.importers and f.remedy for f in found)
     assert examine(exported(NAME)) == ()
     assert examine(exported(NAME, 3)) == ()
+
+
+def enumeration(*items):
+    """Return an edit that adds a type with items, by name and value."""
+
+    def edit(root: ET.Element) -> None:
+        types = ET.Element("TypeDefinitions")
+        kind = ET.SubElement(ET.SubElement(types, "SimpleType", name="gear"), "Enumeration")
+        for name, value in items:
+            ET.SubElement(kind, "Item", name=name, value=value)
+        root.insert([child.tag for child in root].index("UnitDefinitions") + 1, types)
+
+    return edit
+
+
+def second_time(root: ET.Element) -> None:
+    variable = ET.SubElement(root.find("ModelVariables"), "ScalarVariable", name="t_2")
+    facts = {"valueReference": "999", "causality": "independent", "variability": "continuous"}
+    variable.attrib |= facts
+    ET.SubElement(variable, "Real")
+
+
+@pytest.mark.parametrize(
+    ("edit", "place", "found"),
+    [
+        (enumeration(("a", "1"), ("a", "2")), "items of type 'gear'", "2 have the name 'a'"),
+        (enumeration(("a", "1"), ("b", "1")), "items of type 'gear'", "2 have the value '1'"),
+        (second_time, "ModelVariables", "2 variables are independent"),
+        (
+            set_attributes(REAL.format("m"), nominal="-2.5"),
+            "variable 'm'",
+            "nominal is -2.5",
+        ),
+    ],
+    ids=["names", "values", "times", "nominal"],
+)
+def test_fault_of_the_description_is_told_with_its_place(edit, place, found, exported, tmp_path):
+    path = with_description(exported(NAME), tmp_path / "faulty.fmu", edit)
+    assert (place, found) in [(f.place, f.found) for f in examine(path) if f.level == "wrong"]
 
 
 def test_what_the_libraries_need_is_told_by_name(exported, tmp_path):

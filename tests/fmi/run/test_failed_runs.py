@@ -1,7 +1,9 @@
 """Runs of FMUs that went wrong: told in a sentence, and nothing stays."""
 
+import math
 import re
 import signal
+import sys
 import tempfile
 import threading
 import zipfile
@@ -11,6 +13,7 @@ import fmpy
 import pytest
 from helpers.fmi_cases import INTERFACES, VERSIONS
 from helpers.fmu_files import set_attributes, with_description
+from helpers.foreign_part import foreign_part
 
 import cosim
 from cosim.errors import (
@@ -142,3 +145,24 @@ def test_ctrl_c_ends_a_run_wherever_it_is(fmus, interface, seconds):
     with pytest.raises(KeyboardInterrupt):
         cosim.simulate_fmu(path, interface=interface, **span)
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+def test_file_that_cannot_begin_without_its_tool_says_so(tmp_path):
+    path = foreign_part(tmp_path, "lag", fault={"MADE": "return 0"}, needsExecutionTool="true")
+    with pytest.raises(FmuError, match=r"Failed to instantiate .*; it needs other on this comp"):
+        cosim.simulate_fmu(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+@pytest.mark.parametrize("nominal", ["0", "-1", "INF", "NaN"])
+def test_nominal_value_that_is_none_counts_as_1(nominal, tmp_path):
+    """Coupled, 0 was "part 'load': its output y is not finite", and -1 an estimate below 0."""
+    edit = set_attributes("ModelVariables/ScalarVariable[@name='y']/Real", nominal=nominal)
+    part = with_description(foreign_part(tmp_path, "lag"), tmp_path / "nominal.fmu", edit)
+    assert cosim.simulate_fmu(part).column("y").nominal == 1
+    wires, start = {"load.u": "motor.y", "motor.u": "load.y"}, {"motor.x": 1.0}
+    system = cosim.couple({"motor": part, "load": part}, wires, start_values=start, stop_time=1.0)
+    run = system.simulate(accuracy=1e-4, output_interval=0.1)
+    error = abs(run.final["motor.y"] - (1 + math.exp(-2)) / 2)
+    assert error <= run.stats["error_estimate"] <= 1e-4

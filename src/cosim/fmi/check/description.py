@@ -2,7 +2,7 @@
 
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, partial
 from importlib.resources import files
 from math import isclose, isfinite, prod
@@ -94,6 +94,11 @@ def _references(described: Description) -> Iterator[Finding]:
     shared = RULES["alias"] if second else RULES["shared-reference"]  # FMI 2.0 allows aliases
     for kind in sorted({v.kind for v in described.variables} if second else {""}):
         texts = [v.reference for v in described.variables if kind in ("", v.kind)]
+        settable = (v.reference for v in described.variables if v.kind == kind and _is_set(v))
+        for text, count in Counter(settable).items():
+            if count > 1:
+                fault = f"{count} {kind} variables of value reference {text} have a start value"
+                yield RULES["shared-start"].about(DESCRIPTION, fault)
         for text, count in Counter(texts).items():
             if count > 1:
                 yield shared.about(DESCRIPTION, f"{count} variables share value reference {text}")
@@ -103,6 +108,10 @@ def _references(described: Description) -> Iterator[Finding]:
                 f"value references are not consecutive from 0: {', '.join(unused[:5])} is unused"
             )
             yield RULES["references"].about(DESCRIPTION, fault)
+
+
+def _is_set(variable: Described) -> bool:
+    return "start" in variable.texts and variable.variability != "constant"
 
 
 def _initial_unknowns(described: Description, members: set[int]) -> list[int]:
@@ -177,8 +186,22 @@ def description_findings(described: Description) -> Iterator[Finding]:
     for name, count in Counter([*(v.name for v in described.variables), *aliases]).items():
         if count > 1:
             yield RULES["name"].at(f"variable '{name}'", f"{count} variables have this name")
+    yield from _repeated(described.root)
     yield from structure_findings(described)
     yield from _reference_findings(described)
+
+
+def _repeated(root: ET.Element) -> Iterator[Finding]:
+    """Return names that occur twice, and values of items of one enumeration."""
+    types = root.findall("TypeDefinitions/*")
+    lists = [("type", types, "name"), ("log category", root.findall("LogCategories/*"), "name")]
+    for declared in types:
+        items, place = [*declared.iter("Item")], f"items of type '{declared.get('name')}'"
+        lists += [(place, items, attribute) for attribute in ("name", "value")]
+    for place, elements, attribute in lists:
+        for text, count in Counter(element.get(attribute) for element in elements).items():
+            if count > 1:
+                yield RULES["name"].at(place, f"{count} have the {attribute} '{text}'")
 
 
 _REFERENCES = (  # places of attributes that name variables of FMI 3.0, and the kind of these
@@ -223,6 +246,17 @@ def _head(described: Description) -> Iterator[Finding]:
         identifier = attributes.get("modelIdentifier", "")
         if not (identifier.isascii() and identifier.isidentifier()):
             yield RULES["identifier"].at(name, f"modelIdentifier '{identifier}' is no C name")
+        if _true(attributes, "needsExecutionTool"):
+            tool = root.get("generationTool") or "a tool that it does not name"
+            yield RULES["execution-tool"].at(name, f"it needs {tool} where it runs")
+        state = "state" if described.version == "2" else "State"
+        if _true(attributes, f"canSerializeFMU{state}") > _true(
+            attributes, f"canGetAndSetFMU{state}"
+        ):
+            yield RULES["ability"].at(name, "it serializes states that it does not give")
+    count = sum(v.causality == "independent" for v in described.variables)
+    if count > 1 or (count == 0 and described.version == "3" and described.interfaces):
+        yield RULES["causality"].at("ModelVariables", f"{count} variables are independent")
     experiment = root.find("DefaultExperiment")
     numbers = {} if experiment is None else {k: _finite(v) for k, v in experiment.attrib.items()}
     for name, value in numbers.items():
@@ -232,6 +266,10 @@ def _head(described: Description) -> Iterator[Finding]:
     start, stop = numbers.get("startTime", 0.0), numbers.get("stopTime")
     if start is not None and stop is not None and stop <= start:
         yield RULES["experiment"].at("DefaultExperiment", "stopTime is not after startTime")
+
+
+def _true(attributes: Mapping[str, str], name: str) -> bool:
+    return attributes.get(name) in ("true", "1")
 
 
 def _finite(text: str) -> float | None:
@@ -280,7 +318,7 @@ def _factor_faults(unit: ET.Element) -> Iterator[tuple[Rule, str]]:
         if not factor or offset is None:
             yield RULES["unit"], f"factor or offset of {element.tag} is no finite number"
             continue
-        inverse = element.get("inverse") in ("true", "1")
+        inverse = _true(element.attrib, "inverse")
         shown = None if inverse else parse_unit(element.get("name", ""))
         if own and shown and own.measures_like(shown):
             usual = conversion(own, shown)
@@ -321,8 +359,8 @@ def _variable_findings(described: Description, variable: Described) -> Iterator[
     known = ([v for v in ladder if v is not None] for ladder in ladders)
     for ladder in [ladder for ladder in known if ladder != sorted(ladder)][:1]:
         yield RULES["bounds"], f"min, start and max do not rise: {ladder}"
-    if 0.0 in nominal:
-        yield RULES["nominal"], "nominal is 0"
+    for value in [v for v in nominal if v is not None and v <= 0]:
+        yield RULES["nominal"], f"nominal is {value:g}"
     sizes = [size for size in variable.shape if size is not None]
     if len(sizes) == len(variable.shape) and len(number.get("start", [0.0])) not in (
         1,

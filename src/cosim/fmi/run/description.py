@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -32,6 +33,12 @@ def is_second(description: Any) -> bool:
     return str(description.fmiVersion).startswith("2")
 
 
+def abilities_of(description: Any, kind: str) -> Any:
+    """Return fmpy's description of an interface; None if the file does not have it."""
+    exchange = kind == Interface.MODEL_EXCHANGE
+    return description.modelExchange if exchange else description.coSimulation
+
+
 def asks_for_inputs(description: Any) -> bool:
     """Tell whether an FMU asks for cubic inputs within its communication steps (FMI 3.0)."""
     return getattr(description.coSimulation, "recommendedIntermediateInputSmoothness", 0) >= 3
@@ -49,6 +56,13 @@ def unit_of(variable: Any) -> str | None:
     """Return the unit of a variable or of its type; None if it has none."""
     declared = variable.declaredType
     return variable.unit or (declared.unit if declared else None)
+
+
+def nominal_of(variable: Any) -> float | None:
+    """Return the nominal value of a variable or of its type; None without a positive number."""
+    declared = variable.declaredType
+    value = float(variable.nominal or (declared and declared.nominal) or 0.0)
+    return value if 0 < value < inf else None
 
 
 def read_description(folder: Path, name: object) -> Any:
@@ -127,10 +141,7 @@ def choose_interface(
     """
     if requested is not None and requested not in INTERFACES:
         raise UnknownName.among("cosim", "interface", requested, INTERFACES)
-    has = {
-        Interface.MODEL_EXCHANGE: description.modelExchange,
-        Interface.CO_SIMULATION: description.coSimulation,
-    }
+    has = {kind: abilities_of(description, kind) for kind in Interface}
     default = Interface.CO_SIMULATION if description.coSimulation else Interface.MODEL_EXCHANGE
     kind = Interface(requested) if requested else default
     if not has[kind]:

@@ -16,7 +16,7 @@ from typing import Any
 
 from cosim.errors import FmuError
 from cosim.fmi.run.arrays import Access, Element, Layout
-from cosim.fmi.run.description import Interface, by_name, is_second
+from cosim.fmi.run.description import Interface, abilities_of, by_name, is_second
 from cosim.fmi.run.typed_values import reject_beyond_bounds
 from cosim.text import Violation, sentence
 
@@ -171,6 +171,9 @@ def instantiated(
         try:
             instance = _instance(folder, description, Interface(kind), key, **callback)
         except Exception as error:
+            if abilities_of(description, kind).needsExecutionTool:
+                tool = description.generationTool or "a tool that it does not name"
+                raise explained(FmuError(f"{error}; it needs {tool} on this computer")) from error
             raise explained(error) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
@@ -238,11 +241,9 @@ def _instance(folder: Path, description: Any, kind: Interface, key: int, **callb
     from fmpy import calloc, fmi2, free
     from fmpy.logging import addLoggerProxy
 
-    exchange = kind is Interface.MODEL_EXCHANGE
-    abilities = description.modelExchange if exchange else description.coSimulation
-    instance = _checked_class(is_second(description), exchange)(
+    instance = _checked_class(is_second(description), kind is Interface.MODEL_EXCHANGE)(
         guid=description.guid,
-        modelIdentifier=abilities.modelIdentifier,
+        modelIdentifier=abilities_of(description, kind).modelIdentifier,
         unzipDirectory=str(folder),
         instanceName=None,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.arrays import Vector, frozen
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Layout, elements_of, with_elements
-from cosim.fmi.run.description import Interface, by_name, unit_of
+from cosim.fmi.run.description import Interface, by_name, nominal_of, unit_of
 from cosim.fmi.run.instance import access_to, may_be_set
 from cosim.fmi.run.typed_values import (
     is_continuous,
@@ -378,7 +378,7 @@ def column_of(variable: Any, description: Any) -> Column:
         variable.name,
         unit_of(variable) or "1",
         display,
-        float(variable.nominal or 1.0),
+        nominal_of(variable) or 1.0,
         variable.description or "",
         factor,
         offset,

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.arrays import Truths, Vector
 from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.run.description import by_name, choose_interface, read_description
+from cosim.fmi.run.description import by_name, choose_interface, nominal_of, read_description
 from cosim.fmi.run.instance import enter_continuous_time, initialize, instantiated
 from cosim.fmi.run.request import checked_values, default_span, output_names
 from cosim.fmi.run.typed_values import is_number
@@ -211,7 +211,7 @@ def _reject_corner(
 
 
 def _nominals(variables: Sequence[Any]) -> Vector:
-    return np.array([float(v.nominal or 1.0) for v in variables])
+    return np.array([nominal_of(v) or 1.0 for v in variables])
 
 
 def _depends(description: Any, states: Sequence[Any]) -> Truths:
