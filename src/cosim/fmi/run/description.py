@@ -79,6 +79,10 @@ def read_description(folder: Path, name: object) -> Any:
 
     try:
         root = ET.parse(folder / DESCRIPTION).getroot()
+        version = root.get("fmiVersion") or "no version"
+        if not version.startswith(("2.0", "3.")):
+            remedy = "which cannot be run; export it as FMI 2.0 or 3.0"
+            raise FmuError(f"{name} is of FMI {sentence(version)}, {remedy}")
         if root.find("ModelVariables") is None:
             raise FmuError(f"{name}: {DESCRIPTION} has no ModelVariables; there is nothing to run")
         description = read_model_description(str(folder), validate=False)
@@ -87,9 +91,10 @@ def read_description(folder: Path, name: object) -> Any:
         raise
     except Exception as error:
         reason = described(error)
-        raise FmuError(f"{name}: modelDescription.xml cannot be read: {reason}") from error
-    if str(description.fmiVersion).startswith("1"):
-        raise FmuError(f"{name} is of FMI 1.0, which cannot be run; export it as FMI 2.0 or 3.0")
+        remedy = "cosim check finds what is wrong"
+        raise FmuError(
+            f"{name}: modelDescription.xml cannot be read: {reason}; {remedy}"
+        ) from error
     for variable in description.modelVariables:
         if variable.name in names:
             variable.aliases = [VariableAlias(name=variable.name)]

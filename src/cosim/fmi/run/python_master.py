@@ -287,8 +287,6 @@ def _co_simulation(
         if reached < end:
             raise _stopped_early(reached, request)
         recorder.record(end)
-    if points[-1] < request.stop and not one_time(points[-1], request.stop, request.start):
-        raise _stopped_early(points[-1], request)
     return {}, None
 
 

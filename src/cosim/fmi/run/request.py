@@ -117,9 +117,16 @@ class FmuRequest:
             series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
         if series is not None:
             _check_series(name, variables, series, values)
-        return cls(
+        request = cls(
             description, interface, values, start, stop, interval, recorded, series, tolerance
         )
+        last = float(request.points[-1])
+        if not one_time(last, stop, start):
+            raise ParameterError(
+                f"{name}: the FMU takes steps of one size only, of which {interval:g} s lead to "
+                f"{last:g} s and not to {stop:g} s; give stop_time or output_interval"
+            )
+        return request
 
     @property
     def grid(self) -> Vector:
