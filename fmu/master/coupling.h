@@ -74,6 +74,7 @@ static inline int run_adaptive(Coupling *self) {
         if (self->slow && is_noisy(self, length, OF_PARTS * system->tolerance)) return NOISY;
         const int how = macro_step(self, iterates(self), &error);
         if (how == BROKEN) return (int)system->how;
+        if (how == REJECTED && !self->all_roll_back) return self->reason;
         if (how == EVENT_WITHIN) {
             const int passed = back_to_event(self);
             if (passed != DONE) return passed;

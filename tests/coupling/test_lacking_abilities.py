@@ -1,10 +1,12 @@
 """Events between parts that tell no rates, or hold their inputs, against matrix exponentials."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import cosim
+from cosim.errors import SolverError
 
 NEVER = 10.0
 CASES = {  # heat, loss, rate, limits and start of a room, then when its relay switches, s
@@ -76,3 +78,24 @@ def test_a_relay_of_few_abilities_switches_once_at_each_limit(case, abilities, t
     assert [*run.time[turned]] == pytest.approx([*switches], abs=0.021)
     if "room" in abilities:
         assert [event.time for event in run.events] == pytest.approx([*switches], abs=1e-8)
+
+
+def test_iteration_that_cannot_take_a_step_back_is_an_error_that_says_so(tmp_path):
+    """A clutch that is almost dry friction; before, it was restored to a state that it never had.
+
+    That was a segmentation fault in files of other tools.
+    """
+    rotor, clutch = cosim.Model("rotor", stop_time=1.0), cosim.Model("clutch", stop_time=1.0)
+    v, x = rotor.state("v", "m/s", 0.5, "speed"), clutch.state("x", "m/s", 0.0, "speed")
+    rotor.derivative(v, 0.3 - rotor.input("F", "N", 0.0, "force"))
+    force = ca.tanh(1e4 * (clutch.input("u", "m/s", 0.0, "speed") - x))
+    clutch.derivative(x, force)
+    clutch.output("F", "N", force, "force")
+    models = rotor.freeze(), clutch.freeze()
+    files = {m.name: cosim.export_fmu(m, tmp_path / f"{m.name}.fmu") for m in models}
+    wires, abilities = {"rotor.F": "clutch.F", "clutch.u": "rotor.v"}, {"clutch": "no rollback"}
+    system = cosim.couple(files, wires, abilities=abilities)
+    with pytest.raises(
+        SolverError, match=r"the iteration of the input .* diverges after .* give macro"
+    ):
+        system.simulate(accuracy=1e-2)

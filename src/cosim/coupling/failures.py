@@ -54,14 +54,15 @@ def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
     entry = ".".join(wiring.inputs[system.input]) if has_input else ""
     part, output = wiring.sources[system.input] if has_input else ("", "")
     shorter = "; give a shorter macro_step, or accuracy" if system.macro_step else ""
+    larger = "; allow a larger error, or give macro_step"
     if how == CoupledEnding.LOOP_UNSOLVED:
         return f"the loop of direct feedthrough that drives {entry} has no solution at {time}"
     if how == CoupledEnding.UNSETTLED:
-        return f"the iteration of the input {entry} diverges after {time}{shorter}"
+        return f"the iteration of the input {entry} diverges after {time}{shorter or larger}"
     if how == CoupledEnding.NOISY:
         return (
             f"part '{list(wiring.parts)[system.part]}' returns outputs with a noise of about "
-            f"{system.noise:.1g} of their size at {time}; allow a larger error, or give macro_step"
+            f"{system.noise:.1g} of their size at {time}{larger}"
         )
     if how == Ending.NOT_A_NUMBER and has_input:
         return f"part '{part}': its output {output} is not finite after {time}{shorter}"
@@ -80,7 +81,7 @@ def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
         if has_input and not wiring.parts[part].rolls_back:
             reason = (
                 f": part '{part}', which cannot restore a state, returns an output {output} that "
-                "moves too far in each; allow a larger error, or give macro_step"
+                f"moves too far in each{larger}"
             )
         if has_input and (inside := wiring.parts[part].internal_step):
             reason = (
