@@ -261,8 +261,7 @@ static inline int settle_rates(Coupling *self, Interface *at) {
         if (tells && part->order && part_set_derivatives(&self->fmu, part, 1, self->change))
             return give_up(self, p), CALL_FAILED;
         const int known = tells && !part_rates(&self->fmu, part, rates);
-        if (tells && !known && !is_discarded(&self->fmu))
-            return give_up(self, p), CALL_FAILED;
+        if (tells && !known && !is_discarded(&self->fmu)) return give_up(self, p), CALL_FAILED;
         for (long long i = 0; !known && i < part->outputs; ++i) rates[i] = NAN;
     }
     const long long m = system->inputs;

@@ -19,7 +19,7 @@ enum { MOST_ITERATIONS = 40, MOST_IDLE = 10, MOST_PIECES = 10000 };
  * where the step is given. */
 static const double AGREED = 2e-3, AGREED_IN_GIVEN_STEPS = 1e-4;
 static const double SHORTEST = 1e-9; /* macro step, of the span */
-static const double DIVERGED = 1e3; /* times the difference of the first pass */
+static const double DIVERGED = 1e3;  /* times the difference of the first pass */
 
 /* The cubic of an input within the macro step by its derivatives at the time `since` its start; one
  * that has jumped there is the line through value and rate at the end. */
@@ -201,9 +201,10 @@ static inline int step_part(Coupling *self, Part *part, int recording) {
         const int last = !records && !compares;
         const double to = compares ? middle : stop;
         const int how = to > t ? advance(self, part, t, to) : STEPPED;
-        const double before = how == PART_ENDED ? SHORTEST * (system->stop - system->start) : 0;
-        const int stops = part->reached >= end - before || same_time(system, part->reached, end);
-        if (last && stops && (how == AT_EVENT || how == PART_ENDED)) return STEPPED;
+        const double least = SHORTEST * (system->stop - system->start);
+        const int ended = how == PART_ENDED && end - part->reached < least;
+        const int waits = how == AT_EVENT && same_time(system, part->reached, end);
+        if (last && (ended || waits)) return STEPPED;
         if (how != STEPPED) return how;
         t = to;
         if (last) return STEPPED;
@@ -342,12 +343,6 @@ static inline int settled_next(Coupling *self) {
     return BROKEN;
 }
 
-/* Whether differences that iterations do not make smaller are those of parts that round their
- * results: far below the error that is allowed, or all that there is where the step is given. */
-static inline int is_small_enough(const Coupling *self, double left) {
-    return may_be_shortened(self) ? left <= self->system->tolerance / 10 : left < 1;
-}
-
 /* The input whose given and found value or rate differ most. */
 static inline long long worst_input(const Coupling *self, const double *given) {
     const long long m = self->system->inputs;
@@ -414,8 +409,6 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
     as_vector(self, &self->next, predicted);
     if (iterates) predict(self, MOST_POINTS, &self->next);
     as_vector(self, &self->next, w);
-    as_vector(self, &self->now, self->best); /* constant inputs, which no part should reject */
-    memset(self->best + m, 0, (size_t)m * sizeof *self->best);
     double first = 0, best = INFINITY;
     self->ends = 0;
     int agreed = !iterates, idle = 0, final = 0;
@@ -424,13 +417,11 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         const int recording = records && (agreed || final || pass >= self->agreed_at);
         self->mismatch = 0;
         const int how = step_parts(self, pass, recording);
-        const int begins = !isfinite(best);
-        if (how == NOT_STEPPED && iterates && !final && !may_be_shortened(self) &&
-            (pass == 0 || !begins)) {
-            self->fmu.function = NULL;
+        if (how == NOT_STEPPED && isfinite(best) && !final && !may_be_shortened(self) &&
+            is_discarded(&self->fmu)) {
             memcpy(w, self->best, (size_t)n * sizeof *w); /* the last one led astray */
             from_vector(self, w, &self->next);
-            final = !begins;
+            final = 1;
             continue;
         }
         if (how != STEPPED) return after_failed_step(self, how);
@@ -442,7 +433,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         for (long long i = 0; i < n; ++i) self->change[i] = self->found[i] - w[i];
         const double left = largest(n, self->change, NULL);
         const double correction = largest(n, self->found, predicted);
-        if (begins) first = left;
+        if (pass == 0) first = left;
         self->reason = isfinite(left) ? STEP_VANISHED : NOT_A_NUMBER;
         const int diverges = !isfinite(left) || (may_be_shortened(self) && left > DIVERGED * first);
         if (diverges && (may_be_shortened(self) || pass == 0)) return REJECTED;
@@ -461,10 +452,11 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
         else if (final)
             memcpy(w, self->best, (size_t)n * sizeof *w);
         else
-            accelerate(&self->iteration, w, self->change, begins);
+            accelerate(&self->iteration, w, self->change, pass == 0);
         from_vector(self, w, &self->next);
     }
-    if (!agreed && !is_small_enough(self, best)) {
+    /* parts that round their results leave less than is allowed, or than all in a given step */
+    if (!agreed && !(may_be_shortened(self) ? best <= system->tolerance / 10 : best < 1)) {
         system->input = worst_input(self, w);
         self->reason = may_be_shortened(self) ? STEP_VANISHED : UNSETTLED;
         return REJECTED;

@@ -131,11 +131,6 @@ static inline int part_restore(Fmu *fmu, Part *self) {
     return failed(fmu, "set_fmu_state", call->set_fmu_state(call->stepper, self->saved));
 }
 
-static inline void part_forget(Part *self) {
-    const Functions *call = self->call;
-    if (self->saved && !*call->is_fatal) call->free_fmu_state(call->stepper, &self->saved);
-}
-
 /* Writes a row of what the part records. */
 static inline int part_record(Fmu *fmu, const Part *self, long long row) {
     calls_of(fmu, self);
@@ -145,8 +140,7 @@ static inline int part_record(Fmu *fmu, const Part *self, long long row) {
 enum { STEPPED, NOT_STEPPED, AT_EVENT, PART_ENDED, PART_FAILED, INPUT_NOT_FINITE };
 
 /* A communication step, after which a state may be restored. A part that ends the run within it
- * says so; one that does not make the step may take a shorter one, or one with other inputs. It may
- * reach an event only. */
+ * says so; one that does not make the step may take a shorter one. It may reach an event only. */
 static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
     const Functions *call = calls_of(fmu, self);
     bool event = false, terminate = false, early = false;

@@ -13,29 +13,8 @@ import numpy as np
 
 from casadi_models.dae.coupled import Connection
 from cosim.arrays import Truths
+from cosim.coupling import estimate, failures
 from cosim.coupling.c_structures import coupling_library
-from cosim.coupling.estimate import (
-    BY_CHANCE,
-    OF_A_RUN,
-    UNKNOWN,
-    changes,
-    estimated_error,
-    frozen_motion,
-    noise_by_restarts,
-    reject_noise,
-    rounding_of,
-    unreached,
-)
-from cosim.coupling.failures import (
-    EndlessEvents,
-    as_models,
-    endless_part,
-    failure,
-    notes_of,
-    repeats,
-    sliding,
-    violations,
-)
 from cosim.coupling.merged import sides_of
 from cosim.coupling.open_system import OpenSystem, Rows
 from cosim.coupling.opened_part import Ability, OpenedPart
@@ -62,7 +41,6 @@ _FIRST = 0.25  # tolerance of the first run, of the accuracy; with more, a third
 _TIGHTER, _OF_PARTS = 1 / 16, 0.01  # of the last; of the coupling's
 _COARSE = 1e-2  # accuracy of the first run where noise cannot be measured
 _TIGHTEST = 1e-13
-_MOST_ENDS = 5  # runs to the time at which a part ends, which they may move
 
 
 @dataclass(frozen=True)
@@ -74,12 +52,14 @@ class _Task:
         values: Start values by part, by variable.
         columns: Names of the recorded variables by part.
         called: Shows the place of the part that is being called.
+        end: Where a part ends the run, s.
     """
 
     settings: Settings
     values: Mapping[str, Mapping[str, float]]
     columns: Mapping[str, list[str]]
     called: ctypes.c_longlong
+    end: float = np.inf
 
 
 class CoSimulation:
@@ -143,8 +123,8 @@ class CoSimulation:
 
             @cache
             def given(step: float, merges: bool) -> tuple[Trajectory, Truths, Ranges]:
-                own = replace(settings, macro_step=step, merges=merges)
-                return self._once(replace(task, settings=own), OF_A_RUN * of_parts, of_parts)
+                own = replace(task, settings=replace(settings, macro_step=step, merges=merges))
+                return self._once(own, estimate.OF_A_RUN * of_parts, of_parts)
 
             step, merges, part = settings.macro_step, settings.merges, None
             if step is None:
@@ -154,9 +134,9 @@ class CoSimulation:
                 part = self.sticking_part() or sliding_part(
                     ranges, lambda share: given(share * step, True)[2]
                 )
-            slides = sliding(self.wiring, part) if part else None
+            slides = failures.sliding(self.wiring, part) if part else None
             if part and merges:
-                raise EndlessEvents(f"{self.name}: {slides}", run, part)
+                raise failures.EndlessEvents(f"{self.name}: {slides}", run, part)
             small = below(run.columns, run.values, run.stats.get("accuracy", 0.0))
             notes = one_note(run.stats.get("note"), small, slides)
             stats = {**run.stats, "wall_time": perf_counter() - began}
@@ -197,7 +177,7 @@ class CoSimulation:
             of_parts = settings.tolerance or _tolerance_of_parts(tolerance)
         else:
             of_parts = settings.tolerance or _TOLERANCE
-            tolerance = OF_A_RUN * of_parts
+            tolerance = estimate.OF_A_RUN * of_parts
         lengths = (settings.macro_step, settings.interval, None)
         return OpenSystem(
             self.wiring,
@@ -222,7 +202,7 @@ class CoSimulation:
         fixed = [name for name, part in self.parts.items() if not part.rolls_back]
         few, may = partial(self._in_few_steps, task), self._may_round()
         span = settings.stop - settings.start
-        noise = noise_by_restarts(few, span, may & bool(fixed)) / 2
+        noise = estimate.noise_by_restarts(few, span, may & bool(fixed)) / 2
         # their noise shows by tighter runs that differ more; no two runs take the same steps
         tolerance = coarsest = max(first, _FIRST * _COARSE) if fixed else first
         while True:
@@ -230,7 +210,7 @@ class CoSimulation:
             try:
                 run, jumps, ranges = self._once(task, tolerance, of_parts, tolerance / coarsest)
             except SolverError as error:
-                if last is None or isinstance(error, EndlessEvents):
+                if last is None or isinstance(error, failures.EndlessEvents):
                     raise
                 reason = str(error).removeprefix(f"{self.name}: ")
                 raise SolverError(
@@ -241,23 +221,23 @@ class CoSimulation:
                 return _unless_required(run, settings.accuracy)
             steps += run.stats["macro_steps"]
             tighter, sizes = _TIGHTER, np.array([column.nominal for column in run.columns])
-            unseen = rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
+            unseen = estimate.rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
             if last is not None:
-                change = changes(run, last, jumps | jumps_before) / sizes
+                change = estimate.changes(run, last, jumps | jumps_before) / sizes
                 most = float(change.max())
-                reject_noise(run, fixed, accuracy, before, most, unseen)
+                estimate.reject_noise(run, fixed, accuracy, before, most, unseen)
                 least = self._least(ordered=smooth)
-                estimate = estimated_error(most, before, ratio, accuracy, of_parts, least=least)
-                estimate += unseen
+                seen = most, before, ratio, accuracy, of_parts
+                total = estimate.estimated_error(*seen, least=least) + unseen
                 of = run.columns[int(change.argmax())].name
-                found = {"accuracy": accuracy, "error_estimate": estimate, "error_estimate_of": of}
+                found = {"accuracy": accuracy, "error_estimate": total, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
-                if estimate <= accuracy:
-                    whole, left = partial(few, span), accuracy - estimate
-                    still = frozen_motion(run, self.wiring.sources, ranges, may, whole, left)
-                    return replace(run, stats={**run.stats, "error_estimate": estimate + still})
+                if total <= accuracy:
+                    facts, left = (run, self.wiring.sources, ranges, may), accuracy - total
+                    still = estimate.frozen_motion(*facts, partial(few, span), left)
+                    return replace(run, stats={**run.stats, "error_estimate": total + still})
                 if before or not fixed:
-                    tighter = min(_TIGHTER, accuracy / estimate / 2)
+                    tighter = min(_TIGHTER, accuracy / total / 2)
                 before = most
                 if tolerance <= _TIGHTEST:
                     break
@@ -266,14 +246,14 @@ class CoSimulation:
             least = next(one for one in ahead if one < tolerance or one == _TIGHTEST)
             ratio = max(tighter, least / tolerance)
             tolerance = max(tolerance * tighter, least)
-        raise unreached(run, accuracy, f"the last two runs differ by {estimate:.2g} ({of})")
+        raise estimate.unreached(run, accuracy, f"the last two runs differ by {total:.2g} ({of})")
 
     def _least(self, *, ordered: bool) -> float:
         """Return how much of the error a smaller tolerance leaves at least, after a run."""
-        switching = [p for p in self.parts.values() if p.event_mode or p.instance.logged_events]
-        if any(part.holds_inputs for part in switching):
-            return BY_CHANCE
-        return 0.0 if ordered and not any(p.instance.logged_events for p in switching) else UNKNOWN
+        switched = [p for p in self.parts.values() if p.instance.logged_events]
+        if any(p.holds_inputs for p in self.parts.values() if p.event_mode or p in switched):
+            return estimate.BY_CHANCE
+        return 0.0 if ordered and not switched else estimate.UNKNOWN
 
     def _may_round(self) -> Truths:
         """Return whether each input is driven by a continuous output of a foreign part."""
@@ -289,29 +269,20 @@ class CoSimulation:
         return self._once(held, _TOLERANCE, _TOLERANCE)[2]
 
     def _once(
-        self,
-        task: _Task,
-        tolerance: float,
-        of_parts: float,
-        share: float = 1.0,
-        ends: tuple[float, ...] = (),
+        self, task: _Task, tolerance: float, of_parts: float, share: float = 1.0
     ) -> tuple[Trajectory, Truths, Ranges]:
         """Simulate once; return the run, which output times lie at jumps, (times,), and ranges.
-
-        Where a part ends the run within a macro step that cannot be taken back, it runs again, with
-        a macro step that ends there.
 
         Args:
             task: What to simulate.
             tolerance, of_parts: Of the coupling, and of the solvers of the parts.
             share: Of the first run's tolerance; the first and the longest macro steps follow it.
-            ends: Where a part has ended the runs before, s.
         """
         settings = task.settings
         times = time_grid(settings.start, settings.stop, settings.interval)
-        if ends:
-            after = (times > ends[-1]) | one_time(times, ends[-1], settings.start)
-            times[int(np.argmax(after))] = ends[-1]
+        if task.end < settings.stop:
+            after = (times > task.end) | one_time(times, task.end, settings.start)
+            times[int(np.argmax(after))] = task.end
         rows = Rows.of(times, task.columns)
         span = settings.stop - settings.start
         lengths = (settings.macro_step, settings.interval, span)
@@ -337,21 +308,21 @@ class CoSimulation:
             doing("solving", done),
             interruptible(coupling_library()) as interrupts,
         ):
-            for goal in (*ends[-1:], settings.stop) if system.begin() else ():
+            system.begin()
+            for goal in sorted({min(task.end, settings.stop), settings.stop}):
                 if system.is_done:
                     system.advance(goal)
-        end = system.end
-        fixed = bool(steps.quantum or steps.of_parts)
-        if end > system.c.time and end not in ends and len(ends) < _MOST_ENDS and not fixed:
-            return self._once(task, tolerance, of_parts, share, (*ends, end))
+        # a part has ended the run within a macro step: another run has one that ends there
+        if system.c.time < system.end < task.end and not (steps.quantum or steps.of_parts):
+            return self._once(replace(task, end=system.end), tolerance, of_parts, share)
         run = self._result(system, settings, rows, bool(interrupts))
         if lost := system.lost_state():
             why = f"{lost} at the end of the run"
             run = replace(run, status=f"stopped: {why}")
             raise SolverError(f"{self.name}: {why}", partial=run)
         reached = system.lowest, system.highest, system.sizes, float(system.c.mismatch)
-        switching = {*self._sticking, *self.wiring.unknown}
-        ranges = Ranges(*reached, repeats(self.wiring, switching, settings.macro_step or 0.0))
+        switching, step = {*self._sticking, *self.wiring.unknown}, settings.macro_step or 0.0
+        ranges = Ranges(*reached, failures.repeats(self.wiring, switching, step))
         return run, system.jumps, ranges
 
     def _result(
@@ -385,7 +356,7 @@ class CoSimulation:
             why = why_it_ended(self.parts[name].instance.log_texts)
             stats |= {"stop": f"{why} (part '{name}') from {opened.end:.12g} s on"}
             stats |= {"stop_time": opened.end}
-        stats |= invalidity(violations(self.wiring))
+        stats |= invalidity(failures.violations(self.wiring))
         run = Trajectory(
             self.name,
             times,
@@ -396,7 +367,7 @@ class CoSimulation:
             events=self.events(),
         )
         variables = [by_name(self.parts[n].description)[v] for n in columns for v in columns[n]]
-        notes = [*notes_of(system, self.wiring), *filter(None, [rounding(variables, run)])]
+        notes = [*failures.notes_of(system, self.wiring), *filter(None, [rounding(variables, run)])]
         if notes:
             stats["note"] = "; ".join(notes)
         if interrupted or system.how == Ending.INTERRUPTED:
@@ -404,17 +375,17 @@ class CoSimulation:
             raise Interrupted(f"{self.name}: interrupted", partial=run)
         why = ""
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
-            why = failure(system, self.wiring, recorded)
+            why = failures.failure(system, self.wiring, recorded)
             run = replace(run, status=f"stopped: {why}")
-        part = endless_part(system, self.wiring, why) if why or settings.macro_step else None
-        if part:
-            remedy = as_models(self.wiring)
+        judged = why or settings.macro_step
+        if part := failures.endless_part(system, self.wiring, why) if judged else None:
+            remedy = failures.as_models(self.wiring)
             why += "" if not why or remedy in why else remedy
             if not why:
                 notes += [f"an event of part '{part}' repeats itself at one instant{remedy}"]
                 run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
             if why or settings.merges:
-                raise EndlessEvents(f"{self.name}: {why}", run, part)
+                raise failures.EndlessEvents(f"{self.name}: {why}", run, part)
         if why:
             raise SolverError(f"{self.name}: {why}", partial=run)
         return run
@@ -463,16 +434,16 @@ class CoSimulation:
         return found
 
 
+def _tolerance_of_parts(tolerance: float) -> float:
+    """Return the tolerance of the parts' solvers for one of the coupling."""
+    return min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
+
+
 def _unless_required(run: Trajectory, accuracy: float | None) -> Trajectory:
     """Return a run that notes what keeps it from its tolerance; an error if that is required."""
     if accuracy is None:
         return run
-    raise unreached(run, accuracy, run.stats["note"])
-
-
-def _tolerance_of_parts(tolerance: float) -> float:
-    """Return the tolerance of the parts' solvers for one of the coupling."""
-    return min(max(_OF_PARTS * tolerance, _TIGHTEST), 1e-4)
+    raise estimate.unreached(run, accuracy, run.stats["note"])
 
 
 @lru_cache(1024)

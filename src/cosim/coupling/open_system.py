@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.arrays import Vector
 from cosim.coupling.c_structures import PartOfC, SystemOfC, coupling_library
@@ -17,6 +16,7 @@ from cosim.coupling.wiring import Wiring
 from cosim.fmi.run.c_structures import Ending
 from cosim.fmi.run.description import by_name, nominal_of
 from cosim.fmi.run.typed_values import start_number
+from cosim.model.times import one_time
 
 _Result = TypeVar("_Result")
 _ANY_SIZE = 1e300  # of texts, which do not grow
@@ -94,7 +94,9 @@ class OpenSystem:
         self.each(begin)
         self.jumps = np.zeros(len(rows.times), dtype=bool)
         self.parts, self._alive = self._structures(rows, steps.of_parts)
-        scale, grows = self._scales()
+        nominals = [*map(nominal_of, wiring.variables)]
+        scale = np.array([value or 1.0 for value in nominals] + [1.0])  # of the inputs
+        grows = np.array([value is None for value in nominals] + [False], dtype=np.int64)
         texts = [v.type == "String" for v in wiring.variables]
         self.sizes = np.where(texts, _ANY_SIZE, scale[:-1])
         reached = np.full((2, 2, len(wiring.inputs)), [[[np.inf]], [[-np.inf]]])
@@ -163,7 +165,8 @@ class OpenSystem:
     def end(self) -> float:
         """Where a part has ended the run, maybe within a macro step, s; else the present time."""
         ended = self.c.how == Ending.ENDED_BY_FMU
-        return float(max(self.c.time, self.parts[self.c.part].reached if ended else -np.inf))
+        reached = max(self.c.time, self.parts[self.c.part].reached if ended else -np.inf)
+        return float(self.c.time if one_time(reached, self.c.time, self.c.start) else reached)
 
     def begin(self) -> bool:
         """Settle the start, and take the parts out of initialization mode; see `is_done`."""
@@ -228,9 +231,3 @@ class OpenSystem:
             part.instance.violations.counter = place
             place.own_step = own_step.get(name, 0.0)
         return parts, alive
-
-    def _scales(self) -> tuple[Vector, NDArray[np.int64]]:
-        """Return the sizes of the inputs, and whether they grow as their FMU declares none."""
-        nominals = [*map(nominal_of, self._wiring.variables)]
-        scale = np.array([value or 1.0 for value in nominals] + [1.0])
-        return scale, np.array([value is None for value in nominals] + [False], dtype=np.int64)

@@ -116,7 +116,11 @@ class OpenedPart:
         named = getattr(fmu.description.defaultExperiment, "stepSize", None)
         self.only_step = self.internal_step or float(named or 0.0)  # if it does not take any
         if exchange:
-            self._reject_for_exchange(unused)
+            if Ability.EVENTS in unused:
+                raise UsageError(
+                    f"part '{name}' is for model exchange, which always has event mode; leave 'no "
+                    "event mode' out of its abilities"
+                )
             self.order = InputOrder.CUBIC if interpolates else InputOrder.CONSTANT
             self._callback = callback if interpolates else 0
         elif self.event_mode:
@@ -126,13 +130,6 @@ class OpenedPart:
             references = Layout.of(self.moving_inputs).references
             fmu.callback["requiredIntermediateVariables"] = references
             fmu.callback["intermediateUpdate"] = callback
-
-    def _reject_for_exchange(self, unused: Collection[Ability]) -> None:
-        if Ability.EVENTS in unused:
-            raise UsageError(
-                f"part '{self.name}' is for model exchange, which always has event mode; leave "
-                "'no event mode' out of its abilities"
-            )
 
     @property
     def holds_inputs(self) -> bool:

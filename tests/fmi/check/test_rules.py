@@ -64,9 +64,7 @@ DESCRIBED = {
     "REFERS": set_attributes("ModelStructure/Outputs/Unknown", dependencies="4711"),
     "SOURCES": set_attributes("CoSimulation/SourceFiles/File", name="gone.c"),
     "TOKEN_ELSEWHERE": set_attributes(".", guid="{another}"),
-    "ABILITY": set_attributes("CoSimulation", canGetAndSetFMUstate="false"),
     "EXECUTION_TOOL": set_attributes("CoSimulation", needsExecutionTool="true"),
-    "SHARED_START": set_attributes(VARIABLE.format("m"), valueReference="2"),
 }
 
 

@@ -150,7 +150,7 @@ def test_ctrl_c_ends_a_run_wherever_it_is(fmus, interface, seconds):
 @pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
 def test_file_that_cannot_begin_without_its_tool_says_so(tmp_path):
     path = foreign_part(tmp_path, "lag", fault={"MADE": "return 0"}, needsExecutionTool="true")
-    with pytest.raises(FmuError, match=r"Failed to instantiate .*; it needs other on this comp"):
+    with pytest.raises(FmuError, match=r"Failed to instantiate .*; it needs other to run"):
         cosim.simulate_fmu(path)
 
 

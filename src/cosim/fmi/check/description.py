@@ -2,7 +2,7 @@
 
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from importlib.resources import files
 from math import isclose, isfinite, prod
@@ -94,11 +94,6 @@ def _references(described: Description) -> Iterator[Finding]:
     shared = RULES["alias"] if second else RULES["shared-reference"]  # FMI 2.0 allows aliases
     for kind in sorted({v.kind for v in described.variables} if second else {""}):
         texts = [v.reference for v in described.variables if kind in ("", v.kind)]
-        settable = (v.reference for v in described.variables if v.kind == kind and _is_set(v))
-        for text, count in Counter(settable).items():
-            if count > 1:
-                fault = f"{count} {kind} variables of value reference {text} have a start value"
-                yield RULES["shared-start"].about(DESCRIPTION, fault)
         for text, count in Counter(texts).items():
             if count > 1:
                 yield shared.about(DESCRIPTION, f"{count} variables share value reference {text}")
@@ -108,10 +103,6 @@ def _references(described: Description) -> Iterator[Finding]:
                 f"value references are not consecutive from 0: {', '.join(unused[:5])} is unused"
             )
             yield RULES["references"].about(DESCRIPTION, fault)
-
-
-def _is_set(variable: Described) -> bool:
-    return "start" in variable.texts and variable.variability != "constant"
 
 
 def _initial_unknowns(described: Description, members: set[int]) -> list[int]:
@@ -246,14 +237,9 @@ def _head(described: Description) -> Iterator[Finding]:
         identifier = attributes.get("modelIdentifier", "")
         if not (identifier.isascii() and identifier.isidentifier()):
             yield RULES["identifier"].at(name, f"modelIdentifier '{identifier}' is no C name")
-        if _true(attributes, "needsExecutionTool"):
+        if attributes.get("needsExecutionTool") in ("true", "1"):
             tool = root.get("generationTool") or "a tool that it does not name"
             yield RULES["execution-tool"].at(name, f"it needs {tool} where it runs")
-        state = "state" if described.version == "2" else "State"
-        if _true(attributes, f"canSerializeFMU{state}") > _true(
-            attributes, f"canGetAndSetFMU{state}"
-        ):
-            yield RULES["ability"].at(name, "it serializes states that it does not give")
     count = sum(v.causality == "independent" for v in described.variables)
     if count > 1 or (count == 0 and described.version == "3" and described.interfaces):
         yield RULES["causality"].at("ModelVariables", f"{count} variables are independent")
@@ -266,10 +252,6 @@ def _head(described: Description) -> Iterator[Finding]:
     start, stop = numbers.get("startTime", 0.0), numbers.get("stopTime")
     if start is not None and stop is not None and stop <= start:
         yield RULES["experiment"].at("DefaultExperiment", "stopTime is not after startTime")
-
-
-def _true(attributes: Mapping[str, str], name: str) -> bool:
-    return attributes.get(name) in ("true", "1")
 
 
 def _finite(text: str) -> float | None:
@@ -318,7 +300,7 @@ def _factor_faults(unit: ET.Element) -> Iterator[tuple[Rule, str]]:
         if not factor or offset is None:
             yield RULES["unit"], f"factor or offset of {element.tag} is no finite number"
             continue
-        inverse = _true(element.attrib, "inverse")
+        inverse = element.get("inverse") in ("true", "1")
         shown = None if inverse else parse_unit(element.get("name", ""))
         if own and shown and own.measures_like(shown):
             usual = conversion(own, shown)

@@ -14,24 +14,8 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.check.finding import ADVICE, TRIAL_RULES, WRONG, Finding, Rule
 from cosim.fmi.check.libraries import sources
+from cosim.fmi.check.trials import derivatives, motion, ramps, start, steps, switching, values
 from cosim.fmi.check.trials.bench import Bench, Skipped, Trial
-from cosim.fmi.check.trials.derivatives import dependencies, derivatives, slopes
-from cosim.fmi.check.trials.motion import motion
-from cosim.fmi.check.trials.ramps import ramps
-from cosim.fmi.check.trials.start import (
-    callbacks,
-    fixed,
-    initialization,
-    instances,
-    logger,
-    reset,
-    rollback,
-    start,
-    time,
-)
-from cosim.fmi.check.trials.steps import calls, exchange, memory, quiet, steps, stop
-from cosim.fmi.check.trials.switching import switching
-from cosim.fmi.check.trials.values import bounds, defaults, settings
 from cosim.fmi.run.description import INTERFACES, choose_interface
 from cosim.fmi.run.isolated import how_it_ended
 from cosim.host.child import be_confined, leave, own_folder, run_confined
@@ -40,9 +24,12 @@ from cosim.model.values import time_limit_from
 from cosim.text import sentence
 
 TRIALS: tuple[Trial, ...] = (
-    *(start, initialization, defaults, settings, time, exchange, reset, instances, rollback),
-    *(derivatives, dependencies, slopes, fixed, callbacks, logger, quiet, memory),
-    *(motion, ramps, switching, bounds, stop, steps, calls, sources),
+    *(start.start, start.initialization, values.defaults, values.settings, start.time),
+    *(steps.exchange, start.reset, start.instances, start.rollback),
+    *(derivatives.derivatives, derivatives.dependencies, derivatives.slopes, start.fixed),
+    *(start.callbacks, start.logger, steps.quiet, steps.memory),
+    *(motion.motion, ramps.ramps, switching.switching, values.bounds),
+    *(steps.stop, steps.steps, steps.calls, sources),
 )
 """All trials; the first must pass before any other runs."""
 OPTIONAL = frozenset({"logger", "memory"})  # the latter makes thousands of instances
@@ -191,7 +178,7 @@ def _outcome_lines(bench: Bench, tasks: list[_TrialTask]) -> Iterator[dict[str, 
         yield answer
         if any("(fatal)" in one["found"] for one in answer["findings"]):
             return  # no instance may be made after that, but in another process
-        if trials[name] is memory:
+        if trials[name] is steps.memory:
             return  # which may have used up what a process has, such as keys of its threads
         if answer["findings"] and trials[name] is TRIALS[0]:
             failed.add(kind)

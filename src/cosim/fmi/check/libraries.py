@@ -42,8 +42,7 @@ def sources(bench: Bench, kind: str) -> Iterator[Finding]:
     first = next(iter(bench.described.interfaces))
     if kind != first and build == _listed(bench, first, identifier):
         raise Skipped(f"they are those of {first}")
-    if not build.files:
-        raise Skipped("it lists no sources")
+    Skipped.when(not build.files, "it lists no sources")
     if not all((bench.folder / "sources" / name).is_file() for name in build.files):
         raise Skipped("listed sources are missing")
     if foreign := [name for name in build.libraries if name not in _SYSTEM]:

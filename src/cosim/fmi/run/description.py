@@ -81,8 +81,8 @@ def read_description(folder: Path, name: object) -> Any:
         root = ET.parse(folder / DESCRIPTION).getroot()
         version = root.get("fmiVersion") or "no version"
         if not version.startswith(("2.0", "3.")):
-            remedy = "which cannot be run; export it as FMI 2.0 or 3.0"
-            raise FmuError(f"{name} is of FMI {sentence(version)}, {remedy}")
+            called = f"{name} is of FMI {sentence(version)}, which cannot be run"
+            raise FmuError(f"{called}; export it as FMI 2.0 or 3.0")
         if root.find("ModelVariables") is None:
             raise FmuError(f"{name}: {DESCRIPTION} has no ModelVariables; there is nothing to run")
         description = read_model_description(str(folder), validate=False)

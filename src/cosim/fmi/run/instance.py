@@ -171,10 +171,9 @@ def instantiated(
         try:
             instance = _instance(folder, description, Interface(kind), key, **callback)
         except Exception as error:
-            if abilities_of(description, kind).needsExecutionTool:
-                tool = description.generationTool or "a tool that it does not name"
-                raise explained(FmuError(f"{error}; it needs {tool} on this computer")) from error
-            raise explained(error) from error
+            needs = abilities_of(description, kind).needsExecutionTool
+            tool = f"; it needs {description.generationTool or 'its tool'} to run" if needs else ""
+            raise explained(FmuError(f"{error}{tool}")) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
         instance.violations, instance.sliding = violations, sliding

@@ -117,9 +117,8 @@ class FmuRequest:
             series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
         if series is not None:
             _check_series(name, variables, series, values)
-        request = cls(
-            description, interface, values, start, stop, interval, recorded, series, tolerance
-        )
+        times = start, stop, interval
+        request = cls(description, interface, values, *times, recorded, series, tolerance)
         last = float(request.points[-1])
         if not one_time(last, stop, start):
             raise ParameterError(

@@ -56,11 +56,16 @@ def altered(variable: Described, value: float, share: float) -> float:
 class Skipped(Exception):
     """A trial that this FMU does not allow or need; the message says why."""
 
+    @classmethod
+    def when(cls, condition: object, why: str) -> None:
+        """Raise it if a condition holds."""
+        if condition:
+            raise cls(why)
+
 
 def reject_lateness(end: float) -> None:
     """Skip a trial whose time is up; `end` is by `monotonic`, s."""
-    if monotonic() > end:
-        raise Skipped("it takes more time than there is; --timeout gives more")
+    Skipped.when(monotonic() > end, "it takes more time than there is; --timeout gives more")
 
 
 @dataclass(frozen=True)
@@ -119,8 +124,7 @@ class Bench:
         every = self.described.variables
         rates = [every[u.position] for u in self.described.sections["Derivatives"]]
         pairs = tuple((every[r.derivative_of or 0], r) for r in rates)
-        if not pairs:
-            raise Skipped("it has no continuous states")
+        Skipped.when(not pairs, "it has no continuous states")
         if not all(self.single(v) for pair in pairs for v in pair):
             raise Skipped("its states are arrays")
         return pairs

@@ -64,8 +64,7 @@ def knowns_of(bench: Bench) -> Iterator[Known]:
 
 def need_model_exchange(kind: str) -> None:
     """Skip a trial of model exchange elsewhere."""
-    if kind != "ModelExchange":
-        raise Skipped("it is a trial of model exchange")
+    Skipped.when(kind != "ModelExchange", "it is a trial of model exchange")
 
 
 def offers_directional(bench: Bench, kind: str) -> bool:
@@ -210,8 +209,7 @@ def _matrix(
 def derivatives(bench: Bench, kind: str) -> Iterator[Finding]:
     """Directional derivatives of derivatives and outputs agree with central differences."""
     need_model_exchange(kind)
-    if not offers_directional(bench, kind):
-        raise Skipped("it offers no directional derivatives")
+    Skipped.when(not offers_directional(bench, kind), "it offers no directional derivatives")
     unknowns = [rate for _, rate in bench.states()]
     unknowns += bench.reals("output", "continuous")
     knowns = [known for known in knowns_of(bench) if known.required]
@@ -331,8 +329,7 @@ def slopes(bench: Bench, kind: str) -> Iterator[Finding]:
         get(places, [int(offered)] * len(places))
         y = [session.values(outputs)]
         y += [session.values(outputs) for _ in session.steps(size, 4)]
-    if len(y) < 5:
-        raise Skipped("it ends by itself before")
+    Skipped.when(len(y) < 5, "it ends by itself before")
     fine, coarse = ((4 * y[i] - 3 * y[0] - y[2 * i]) / (2 * i * size) for i in (1, 2))
     noise = bench.tolerance * np.maximum([v.nominal for v in outputs], np.abs(y[0])) / size
     doubt = 2 * np.abs(coarse - fine) + 0.01 * np.abs(fine) + noise

@@ -24,8 +24,7 @@ def motion(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     if bench.fmpy.numberOfEventIndicators:
         raise Skipped("it has events, which this trial does not locate")
     course = _Course(bench, bench.reals("input", "continuous"), bench.reals("parameter", "tunable"))
-    if not course.outputs or not bench.states():
-        raise Skipped("it has no continuous outputs")
+    Skipped.when(not course.outputs or not bench.states(), "it has no continuous outputs")
     try:
         found, exact = course.co_simulated(), course.exchanged()
     except Skipped:
@@ -33,8 +32,7 @@ def motion(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     except Exception:  # it may reject values
         course = replace(course, inputs=[], parameters=[])
         found, exact = course.co_simulated(), course.exchanged()
-    if not len(found):
-        raise Skipped("it ends by itself before")
+    Skipped.when(not len(found), "it ends by itself before")
     difference, rows = np.abs(found - exact[: len(found)]).max(axis=0), slice(len(found))
     ratio = difference / course.allowed(exact)
     worst = int(np.argmax(ratio))

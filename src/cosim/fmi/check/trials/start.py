@@ -35,8 +35,7 @@ def start(bench: Bench, kind: str) -> Iterator[Finding]:
 def initialization(bench: Bench, kind: str) -> Iterator[Finding]:
     """Its outputs can be read in initialization mode and keep their values when it ends."""
     outputs = bench.reals("output")
-    if not outputs:
-        raise Skipped("it has no real outputs")
+    Skipped.when(not outputs, "it has no real outputs")
     own = [*bench.reals("output"), *bench.reals("local")]
     held = [v for v in own if v.variability == "discrete" or v.initial == "exact"]
     held = held if bench.has_events else []
@@ -80,8 +79,7 @@ def _exchanged_start(
 def time(bench: Bench, kind: str) -> Iterator[Finding]:
     """The independent variable is the time."""
     clocks = bench.reals("independent")
-    if not clocks:
-        raise Skipped("it has no variable for the time")
+    Skipped.when(not clocks, "it has no variable for the time")
     with bench.started(kind, bench.start + bench.step_size(kind)) as session:
         if kind == "CoSimulation":
             variable = bench.offers(kind, "canHandleVariableCommunicationStepSize")
@@ -99,8 +97,7 @@ def time(bench: Bench, kind: str) -> Iterator[Finding]:
 def fixed(bench: Bench, kind: str) -> Iterator[Finding]:
     """A fixed parameter is rejected during a run."""
     parameters = bench.reals("parameter", "fixed")
-    if not parameters:
-        raise Skipped("it has no fixed real parameter")
+    Skipped.when(not parameters, "it has no fixed real parameter")
     for parameter in parameters[:MOST_NAMES]:  # a rejected call may end the instance
         with bench.started(kind) as session:
             (value,) = session.values([parameter])
@@ -118,8 +115,7 @@ def callbacks(bench: Bench, kind: str) -> Iterator[Finding]:
 
 def logger(bench: Bench, kind: str) -> Iterator[Finding]:
     """It runs the same without a logger."""
-    if not bench.second:
-        raise Skipped("it is among the callbacks of FMI 3.0 that may be missing")
+    Skipped.when(not bench.second, "it is among the callbacks of FMI 3.0 that may be missing")
     yield from _without(bench, kind, TRIAL_RULES["logger"], logger=False)
 
 

@@ -101,8 +101,7 @@ def stop(bench: Bench, kind: str) -> Iterator[Finding]:
             )
             yield TRIAL_RULES["rejected-end"].at(kind, found)
             return
-        if done < _FEW_STEPS:
-            raise Skipped("it ends by itself before")
+        Skipped.when(done < _FEW_STEPS, "it ends by itself before")
         try:
             beyond = len(list(session.steps(size, 1)))
         except Exception:
@@ -128,8 +127,7 @@ def _own_steps_fail(bench: Bench, kind: str, until: float) -> bool:
 
 
 def _needs_free_steps(bench: Bench, kind: str) -> None:
-    if kind != "CoSimulation":
-        raise Skipped("it is a trial of co-simulation")
+    Skipped.when(kind != "CoSimulation", "it is a trial of co-simulation")
     if not bench.offers(kind, "canHandleVariableCommunicationStepSize"):
         raise Skipped("it may require steps of its own size")
 

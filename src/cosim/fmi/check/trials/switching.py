@@ -221,8 +221,7 @@ def switching(bench: Bench, kind: str) -> Iterator[Finding | Note]:
     rows = min(len(exact), len(coarse), len(found))
     rows -= rows < bench.step_count(size) + 1  # ends need not be at one time
     exact, coarse, found = exact[:rows], coarse[:rows], found[:rows]
-    if not rows:
-        raise Skipped("it ends by itself before")
+    Skipped.when(not rows, "it ends by itself before")
     nominal = np.maximum([v.nominal for v in runs.outputs], np.abs(exact).max(axis=0))
     least = _SHARE * np.ptp(exact, axis=0) + 10 * bench.tolerance * nominal
     allowed = least + 10 * np.abs(coarse - exact)

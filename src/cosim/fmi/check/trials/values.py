@@ -15,7 +15,7 @@ from cosim.fmi.check.trials.bench import MOST_NAMES, Bench, Session, Skipped, al
 from cosim.fmi.run.arrays import Element, with_elements
 from cosim.fmi.run.description import Interface
 from cosim.fmi.run.instance import access_to, may_be_set
-from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS, start_number
+from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS, start_value
 
 _ROUNDING = 1e-6  # of a start value, as people write it
 _NOISE, _NOISE_32 = 1e-12, 1e-6  # of a number that is read back, and of a Float32
@@ -43,12 +43,8 @@ class _Setting:
 
     @property
     def start(self) -> _Value:
-        text, kind = self.variable.start, self.variable.type
-        if kind == "String":
-            return str(text)
-        if kind == "Boolean":
-            return bool(start_number(self.variable))
-        return float(text) if self.is_real else int(text)
+        found: _Value = start_value(self.variable)
+        return bool(found) if self.variable.type == "Boolean" else found
 
     def other(self, share: float) -> _Value:
         """Return another value, where its type has one; of a real number, by a share of it."""
@@ -87,8 +83,7 @@ def _settings_of(bench: Bench) -> list[_Setting]:
         begins = own.causality in ("parameter", "input") or own.initial == "exact"
         if begins and (text or (NUMERIC.fullmatch(variable.type) and variable.start)):
             found.append(_Setting(variable, own))
-    if not found:
-        raise Skipped("it has no variable that begins with its start value")
+    Skipped.when(not found, "it has no variable that begins with its start value")
     return found
 
 
@@ -220,8 +215,7 @@ def bounds(bench: Bench, kind: str) -> Iterator[Finding]:
         raise Skipped("co-simulation shows it")
     every = (v for v in bench.described.variables if v.causality in ("output", "local"))
     limited = [v for v in every if bench.single(v) and {"min", "max"} & v.texts.keys()]
-    if not limited:
-        raise Skipped("no variable that it computes has bounds")
+    Skipped.when(not limited, "no variable that it computes has bounds")
     end = monotonic() + _FOR_RUN * bench.timeout
     try:
         size = bench.output_interval(kind)
