@@ -106,3 +106,14 @@ def test_foreign_part_that_discards_a_step_as_it_ends(way, saves, fault, tmp_pat
     assert end == run.time[-1] if found else 0.3 <= end <= 0.456
     assert not found or end == pytest.approx(0.456, abs=3e-9)
     assert run.final["motor.y"] == pytest.approx(math.exp(-run.time[-1]), abs=1e-5)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+@pytest.mark.parametrize(("fault", "end"), [(TELLS, 0.456), (SILENT, 0.4), (WRONG, 0.4)])
+def test_file_alone_that_discards_a_step_as_it_ends(fault, end, master, tmp_path):
+    """Where it tells no time, it is known to have come to the step's begin; fmpy showed the end."""
+    path = foreign_part(tmp_path, "lag", fault=fault)
+    run = cosim.simulate_fmu(path, start_values={"x": 1.0}, output_interval=0.1, master=master)
+    assert run.stats["stop_time"] == run.time[-1] == pytest.approx(end)
+    assert run.final["y"] == pytest.approx(math.exp(-end))

@@ -233,8 +233,8 @@ class CoSimulation:
                 found = {"accuracy": accuracy, "error_estimate": total, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if total <= accuracy:
-                    facts, left = (run, self.wiring.sources, ranges, may), accuracy - total
-                    still = estimate.frozen_motion(*facts, partial(few, span), left)
+                    facts = run, self.wiring.sources, ranges, may
+                    still = estimate.frozen_motion(*facts, partial(few, span), accuracy - total)
                     return replace(run, stats={**run.stats, "error_estimate": total + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / total / 2)
@@ -321,9 +321,9 @@ class CoSimulation:
             run = replace(run, status=f"stopped: {why}")
             raise SolverError(f"{self.name}: {why}", partial=run)
         reached = system.lowest, system.highest, system.sizes, float(system.c.mismatch)
-        switching, step = {*self._sticking, *self.wiring.unknown}, settings.macro_step or 0.0
-        ranges = Ranges(*reached, failures.repeats(self.wiring, switching, step))
-        return run, system.jumps, ranges
+        switching = {*self._sticking, *self.wiring.unknown}
+        repeats = failures.repeats(self.wiring, switching, settings.macro_step or 0.0)
+        return run, system.jumps, Ranges(*reached, repeats)
 
     def _result(
         self, opened: OpenSystem, settings: Settings, recorded: Rows, interrupted: bool

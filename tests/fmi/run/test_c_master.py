@@ -1,19 +1,21 @@
 """The compiled master of FMUs: fmpy's numbers, the laws of motion, and fmpy's words."""
 
 import signal
+import sys
 import threading
 
 import numpy as np
 import pytest
 from helpers.ball import ball_fmu, free_fall
 from helpers.fmi_cases import INTERFACES, VERSIONS
+from helpers.foreign_part import foreign_part
 from helpers.hostile import hostile, hostile_binary
 from helpers.small_models import decay
 from helpers.wrapped import wrapped
 
 import cosim
 from cosim.cli.main import main
-from cosim.errors import FmuError, MissingTool, UnknownName, UsageError
+from cosim.errors import FmuError, MissingTool, ParameterError, UnknownName, UsageError
 from cosim.fmi.run import opened
 from cosim.fmi.run.request import communication_points
 from cosim.model.inputs import InputSeries
@@ -258,3 +260,14 @@ def test_no_value_is_read_after_the_end(master, interface, tmp_path):
     path = wrapped(tmp_path, fmi2Terminate="limit = 1; return CALL;", fmi2GetReal=lost)
     run = cosim.simulate_fmu(path, interface=interface, master=master)
     assert run.final["y"] == pytest.approx(2 * np.exp(-0.5), rel=1e-4)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it compiles for linux64")
+@pytest.mark.parametrize("master", ["fmpy", "c"])
+def test_steps_of_one_size_that_miss_the_stop_time_are_an_error(master, tmp_path):
+    """The C master ended at 0.99 s without a word."""
+    fixed = {"canHandleVariableCommunicationStepSize": "false"}
+    path = foreign_part(tmp_path, "lag", step_size=0.03, **fixed)
+    with pytest.raises(ParameterError, match=r"0\.03 s lead to 0\.99 s and not to 1 s; give stop"):
+        cosim.simulate_fmu(path, master=master)
+    assert cosim.simulate_fmu(path, master=master, output_interval=0.05).time[-1] == 1

@@ -187,8 +187,8 @@ def _repeated(root: ET.Element) -> Iterator[Finding]:
     types = root.findall("TypeDefinitions/*")
     lists = [("type", types, "name"), ("log category", root.findall("LogCategories/*"), "name")]
     for declared in types:
-        items, place = [*declared.iter("Item")], f"items of type '{declared.get('name')}'"
-        lists += [(place, items, attribute) for attribute in ("name", "value")]
+        items = [*declared.iter("Item")]
+        lists += [(f"items of type '{declared.get('name')}'", items, a) for a in ("name", "value")]
     for place, elements, attribute in lists:
         for text, count in Counter(element.get(attribute) for element in elements).items():
             if count > 1:

@@ -289,16 +289,15 @@ def _checked_class(second: bool, exchange: bool) -> type:
         """Return whether an event occurred, the run ends and the FMU returned early, and when."""
         try:
             base.doStep(self, time, size)
-        except FMICallException as error:
-            ends, last = False, time
+        except FMICallException as why:
+            ends = False
+            last = time
             with suppress(FMICallException):  # a file need not tell
-                ends = error.status == fmi2.fmi2Discard and self.getBooleanStatus(
-                    fmi2.fmi2Terminated
-                )
+                ends = why.status == fmi2.fmi2Discard and self.getBooleanStatus(fmi2.fmi2Terminated)
                 last = self.getRealStatus(fmi2.fmi2LastSuccessfulTime) if ends else time
             if not ends:
                 raise
-            return False, True, True, last if last >= time else time
+            return False, True, True, max(time, last)  # not NaN
         return False, False, False, time + size
 
     def method_of_fmi_3(self: Any, name: str) -> Any:
