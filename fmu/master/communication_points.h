@@ -106,6 +106,11 @@ static inline int enter_event_modes(Coupling *self) {
     return DONE;
 }
 
+/* Whether an input of a part has changed that is set in event mode only. */
+static inline int has_switched(const Coupling *self, const Part *part) {
+    return self->switched && part->event_mode && part->steady->width < part->inputs;
+}
+
 /* Let parts wait for an event of their own at the present point, where others wait: a step on finds
  * it, and what happens in others first would undo its cause. */
 static inline int wait_together(Coupling *self) {
@@ -153,11 +158,8 @@ static inline int pass_events(Coupling *self) {
     const int last = system->ends && same_time(system, self->now.t, system->stop);
     int any = 0, waits = 0;
     for (long long p = 0; p < system->n_parts; ++p) {
-        const Part *part = system->parts + p;
-        const int switches =
-            self->switched && part->steady->width < part->inputs; /* in event mode */
-        waits |= part->waits != 0;
-        any |= part->event_mode && (last || switches);
+        waits |= system->parts[p].waits != 0;
+        any |= (last && system->parts[p].event_mode) || has_switched(self, system->parts + p);
     }
     if (!any && !waits) return DONE;
     if (waits && wait_together(self)) return CALL_FAILED;

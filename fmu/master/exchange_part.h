@@ -44,6 +44,12 @@ static inline int status_of(Stepped *self, int how) {
                                                      : FAILED;
 }
 
+/* The distance from which on the master tells times apart, some times over. */
+static inline double resolution(const Run *run, double t) {
+    const double rounding = rounding_of_times(run->stop - run->start, t);
+    return 4 * fmax(rounding, 1e-12 * (t - run->start));
+}
+
 /* Go on to the edge of what the master takes for the start of the step, over events there. Tells
  * whether one is left at the edge. */
 static inline int pass_edge(Stepped *self, double edge, bool *event) {
@@ -68,9 +74,7 @@ static inline int pass_edge(Stepped *self, double edge, bool *event) {
  * show it. */
 static inline int step_until(Stepped *self, double goal, bool *event) {
     Exchange *solver = &self->exchange;
-    const Run *run = &self->model->run;
-    const double from = solver->t, rounding = rounding_of_times(run->stop - run->start, from);
-    const double edge = from + 4 * fmax(rounding, 1e-12 * (from - run->start)); /* of one time */
+    const double from = solver->t, edge = from + resolution(&self->model->run, from);
     double x[NX], signs[NZ];
     if (goal - from <= 4 * DBL_EPSILON * fmax(fabs(goal), fabs(from))) {
         solver->t = goal; /* as time is rounded */

@@ -343,6 +343,12 @@ static inline int settled_next(Coupling *self) {
     return BROKEN;
 }
 
+/* Whether differences that iterations do not make smaller are those of parts that round their
+ * results: far below the error that is allowed, or all that there is where the step is given. */
+static inline int is_small_enough(const Coupling *self, double left) {
+    return may_be_shortened(self) ? left <= self->system->tolerance / 10 : left < 1;
+}
+
 /* The input whose given and found value or rate differ most. */
 static inline long long worst_input(const Coupling *self, const double *given) {
     const long long m = self->system->inputs;
@@ -455,8 +461,7 @@ static inline int macro_step(Coupling *self, int iterates, double *error) {
             accelerate(&self->iteration, w, self->change, pass == 0);
         from_vector(self, w, &self->next);
     }
-    /* parts that round their results leave less than is allowed, or than all in a given step */
-    if (!agreed && !(may_be_shortened(self) ? best <= system->tolerance / 10 : best < 1)) {
+    if (!agreed && !is_small_enough(self, best)) {
         system->input = worst_input(self, w);
         self->reason = may_be_shortened(self) ? STEP_VANISHED : UNSETTLED;
         return REJECTED;

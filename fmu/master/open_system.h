@@ -133,11 +133,7 @@ static inline void carry_out(Coupling *self, int (*task)(Coupling *)) {
 
 static inline void dissolve(Coupling *self) {
     System *system = self->system;
-    for (long long p = 0; p < system->n_parts; ++p) {
-        const Functions *call = system->parts[p].call;
-        void **saved = &system->parts[p].saved;
-        if (*saved && !*call->is_fatal) call->free_fmu_state(call->stepper, saved);
-    }
+    for (long long p = 0; p < system->n_parts; ++p) part_forget(system->parts + p);
     if (self->crew.count) crew_end(&self->crew);
     free(self->memory);
     free(self->crew.members);

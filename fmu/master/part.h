@@ -131,6 +131,11 @@ static inline int part_restore(Fmu *fmu, Part *self) {
     return failed(fmu, "set_fmu_state", call->set_fmu_state(call->stepper, self->saved));
 }
 
+static inline void part_forget(Part *self) {
+    const Functions *call = self->call;
+    if (self->saved && !*call->is_fatal) call->free_fmu_state(call->stepper, &self->saved);
+}
+
 /* Writes a row of what the part records. */
 static inline int part_record(Fmu *fmu, const Part *self, long long row) {
     calls_of(fmu, self);

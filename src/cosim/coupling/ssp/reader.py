@@ -76,8 +76,7 @@ class _System:
         """Return the system."""
         wires, values = list[Connection](), dict[tuple[str, str], float]()
         exposed = dict[str, list[Way]]()
-        nodes = dict.fromkeys([*self._connections.driven, *self._values])
-        for sink in (n for n in nodes if n.place in self._parts and not n.dictionary):
+        for sink in self._sinks():
             way = self._connections.way(sink)
             if way.steps and way.source.place in self._parts:
                 wires.append(self._wire(way))
@@ -127,6 +126,11 @@ class _System:
         part = part_of(name, document.package.entries[entry], Path())
         origin = ".".join(element.place)
         return part if origin == name else replace(part, origin=origin)
+
+    def _sinks(self) -> list[Node]:
+        """Return the variables of parts that are driven or have a value."""
+        nodes = dict.fromkeys([*self._connections.driven, *self._values])
+        return [node for node in nodes if node.place in self._parts and not node.dictionary]
 
     def _key(self, node: Node) -> tuple[str, str]:
         """Return part and variable of a connector."""

@@ -47,13 +47,13 @@ class Rule:
     """A rule for FMUs.
 
     Attributes:
-        name, level, remedy, importers: Of each finding, see `Finding`; the latter two may be empty.
+        name, level, remedy, importers: Of each finding, see `Finding`.
     """
 
     name: str
     level: str
-    importers: str = ""
-    remedy: str = ""
+    importers: str
+    remedy: str
 
     def at(self, place: str, found: str, sentence: str | None = None) -> Finding:
         """Return a finding at a place; its sentence is "place: found" by default."""
