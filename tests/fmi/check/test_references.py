@@ -24,6 +24,7 @@ SOUND = """<fmiModelDescription fmiVersion="3.0" modelName="part" instantiationT
 <Enumeration name="gear" valueReference="7" causality="parameter" start="1" declaredType="Gear"/>
 <Clock name="tick" valueReference="8" causality="output" intervalVariability="triggered"/>
 <Int32 name="ticks" valueReference="9" causality="output" variability="discrete" clocks="8"/>
+<Float64 name="time" valueReference="10" causality="independent"/>
 </ModelVariables>
 <ModelStructure><Output valueReference="4"/><Output valueReference="8"/><Output valueReference="9"/>
 <ContinuousStateDerivative valueReference="5" dependencies="3 4" dependenciesKind="fixed fixed"/>

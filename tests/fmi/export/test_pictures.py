@@ -10,7 +10,7 @@ from cosim.drawing.diagram import diagram, icon
 from cosim.drawing.pose import start_pose
 from cosim.fmi.export import documentation as module
 from cosim.fmi.export.documentation import pictures
-from cosim.model.catalogue import loaded
+from cosim.model.catalogue import load, loaded
 
 BAR = "bar_on_frame/reduced"
 
@@ -44,7 +44,7 @@ def test_the_diagram_turns_with_the_model():
 
 
 def test_a_picture_of_a_model_is_drawn_once(monkeypatch):
-    dae, drawn = loaded(BAR), []
+    dae, drawn = load(BAR), []
 
     def counted(draw):
         def counting(*arguments):
