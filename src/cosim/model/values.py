@@ -13,12 +13,7 @@ import numpy as np
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.units import represented
 from cosim.arrays import Truths, Vector
-from cosim.errors import (
-    InitialConditionError,
-    ParameterError,
-    UnknownName,
-    UsageError,
-)
+from cosim.errors import InitialConditionError, ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
 from cosim.model.start_outputs import reject_twice, solved_starts
 from cosim.series.samples import NOT_GIVEN, ROUNDING_OF_OTHERS

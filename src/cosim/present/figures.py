@@ -19,14 +19,7 @@ from casadi_models.units import parse_unit
 from cosim.arrays import Vector
 from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
-from cosim.plotting import (
-    LINES,
-    STYLE,
-    Picture,
-    keep_constant_flat,
-    reject_formulas,
-    shade_invalid,
-)
+from cosim.plotting import LINES, STYLE, Picture, keep_constant_flat, reject_formulas, shade_invalid
 from cosim.scene.scene import FigureSpec
 from cosim.text import moment
 from cosim.trajectory import Column, Trajectory

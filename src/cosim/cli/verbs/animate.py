@@ -13,12 +13,7 @@ from cosim.integrate.solvers import contains_time
 from cosim.model.catalogue import loaded
 from cosim.model.driving import with_tables
 from cosim.plotting import reject_pixels
-from cosim.present.playback.animate import (
-    animate,
-    animation_format,
-    guessed_model,
-    reject_missing,
-)
+from cosim.present.playback.animate import animate, animation_format, guessed_model, reject_missing
 from cosim.trajectory import Trajectory
 
 

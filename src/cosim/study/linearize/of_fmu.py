@@ -15,14 +15,7 @@ from cosim.fmi.run.instance import enter_continuous_time, initialize, instantiat
 from cosim.fmi.run.request import checked_values, default_span, output_names
 from cosim.fmi.run.typed_values import is_number
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.local import (
-    JUMP,
-    LEAST_JUMP,
-    SAME,
-    TRIALS,
-    reject_no_number,
-    rounding,
-)
+from cosim.study.linearize.local import JUMP, LEAST_JUMP, SAME, TRIALS, reject_no_number, rounding
 from cosim.text import moment
 
 POINT = "the initial state of an FMU"
