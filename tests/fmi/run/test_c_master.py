@@ -207,7 +207,11 @@ def test_a_file_is_unpacked_once_and_runs_do_not_feel_each_other(fmus, monkeypat
     path.write_bytes(fmus[2].read_bytes())
     count = []
     original = opened.unpacked
-    counted = lambda *path, **how: count.append(path) or original(*path, **how)  # noqa: E731
+
+    def counted(path, **options):
+        count.append(path)
+        return original(path, **options)
+
     monkeypatch.setattr(opened, "unpacked", counted)
     first = cosim.simulate_fmu(path, master="c")
     cosim.simulate_fmu(path, start_values={"x": 3.0}, master="c")
