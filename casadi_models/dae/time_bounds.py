@@ -20,9 +20,8 @@ from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
 _MOST_DEGREE = 4  # of a polynomial
-_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)}  # factors
-
-
+# Factors of the first and of the last operand, which are the same if there is one
+_SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)}
 # Coefficients by what moves each product, in shares of its span: {(0, 0): c} is c (share of 0)^2
 _Polynomial = dict[tuple[int, ...], SX]
 
@@ -105,7 +104,7 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
         rows = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        spans = _spans(rows, dae.arguments, _from_here(length))
+        spans = _spans(rows, dae.arguments, lambda _, t: _Span(t, t + length, stays=False))
         if not spans:
             continue
         known.append(i)
@@ -172,8 +171,8 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
     rows = ca.densify(ca.vertcat(second, value))
-    own = [moving, *others]
-    spans = _spans(rows, own, lambda row, value: _moving(row, value, value + length))
+    symbols = [moving, *others]
+    spans = _spans(rows, symbols, lambda row, value: _moving(row, value, value + length))
     if not spans:
         return None
     bend, around = spans
@@ -229,8 +228,8 @@ def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
     if code == ca.OP_DIV and operands[-1].stays:
         return _times(a, {(): 1 / b[()]})
     if code in _SUMS:
-        one, other, zero = *_SUMS[code], SX(0)
-        return {key: one * a.get(key, zero) + other * b.get(key, zero) for key in a | b}
+        first, last = _SUMS[code]
+        return {key: first * a.get(key, 0) + last * b.get(key, 0) for key in a | b}
     return _times(a, b) if code in (ca.OP_MUL, ca.OP_SQ) else None
 
 
@@ -257,16 +256,12 @@ def _within_terms(span: _Span) -> _Span:
             found += factor * prod(shares)
         return found
 
-    known = column(map(coefficient, product(*(range(n + 1) for n in degrees.values()))))
-    is_finite = ca.fabs(ca.sum1(known)) < SX.inf()  # fmin and fmax pass over NaN
-    low, high = ca.fmax(span.low, ca.mmin(known)), ca.fmin(span.high, ca.mmax(known))
-    ends = ca.if_else(is_finite, low, span.low), ca.if_else(is_finite, high, span.high)
-    return _Span(*ends, False)
-
-
-def _from_here(length: SX) -> Callable[[int, SX], _Span]:
-    """Return the span of a symbol that goes from its value on over a length."""
-    return lambda _, value: _Span(value, value + length, stays=False)
+    places = product(*(range(n + 1) for n in degrees.values()))
+    every = column(map(coefficient, places))
+    is_finite = ca.fabs(ca.sum1(every)) < SX.inf()  # fmin and fmax pass over NaN
+    low = ca.if_else(is_finite, ca.fmax(span.low, ca.mmin(every)), span.low)
+    high = ca.if_else(is_finite, ca.fmin(span.high, ca.mmax(every)), span.high)
+    return _Span(low, high, False)
 
 
 def _moving(row: int, low: SX, high: SX) -> _Span:
