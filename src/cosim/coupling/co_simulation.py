@@ -227,14 +227,17 @@ class CoSimulation:
                 most = float(change.max())
                 estimate.reject_noise(run, fixed, accuracy, before, most, unseen)
                 least = self._least(ordered=smooth)
-                seen = most, before, ratio, accuracy, of_parts
-                total = estimate.estimated_error(*seen, least=least) + unseen
+                total = estimate.estimated_error(
+                    most, before, ratio, accuracy, of_parts, least=least
+                )
+                total += unseen
                 of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": total, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if total <= accuracy:
-                    facts = run, self.wiring.sources, ranges, may
-                    still = estimate.frozen_motion(*facts, partial(few, span), accuracy - total)
+                    still = estimate.frozen_motion(
+                        run, self.wiring.sources, ranges, may, partial(few, span), accuracy - total
+                    )
                     return replace(run, stats={**run.stats, "error_estimate": total + still})
                 if before or not fixed:
                     tighter = min(_TIGHTER, accuracy / total / 2)
@@ -377,13 +380,14 @@ class CoSimulation:
         if system.how not in (Ending.DONE, Ending.ENDED_BY_FMU):
             why = failures.failure(system, self.wiring, recorded)
             run = replace(run, status=f"stopped: {why}")
-        judged = why or settings.macro_step
-        if part := failures.endless_part(system, self.wiring, why) if judged else None:
+        may_be_endless = why or settings.macro_step
+        part = failures.endless_part(system, self.wiring, why) if may_be_endless else None
+        if part:
             remedy = failures.as_models(self.wiring)
             why += "" if not why or remedy in why else remedy
             if not why:
-                notes += [f"an event of part '{part}' repeats itself at one instant{remedy}"]
-                run = replace(run, stats={**run.stats, "note": "; ".join(notes)})
+                repeated = f"an event of part '{part}' repeats itself at one instant{remedy}"
+                run = replace(run, stats={**run.stats, "note": one_note(*notes, repeated)})
             if why or settings.merges:
                 raise failures.EndlessEvents(f"{self.name}: {why}", run, part)
         if why:

@@ -94,9 +94,9 @@ class OpenSystem:
         self.each(begin)
         self.jumps = np.zeros(len(rows.times), dtype=bool)
         self.parts, self._alive = self._structures(rows, steps.of_parts)
-        nominals = [*map(nominal_of, wiring.variables)]
-        scale = np.array([value or 1.0 for value in nominals] + [1.0])  # of the inputs
-        grows = np.array([value is None for value in nominals] + [False], dtype=np.int64)
+        nominals = [*map(nominal_of, wiring.variables)]  # of the inputs
+        scale = np.array([*(value or 1.0 for value in nominals), 1.0])
+        grows = np.array([*(value is None for value in nominals), False], dtype=np.int64)
         texts = [v.type == "String" for v in wiring.variables]
         self.sizes = np.where(texts, _ANY_SIZE, scale[:-1])
         reached = np.full((2, 2, len(wiring.inputs)), [[[np.inf]], [[-np.inf]]])
@@ -168,18 +168,17 @@ class OpenSystem:
         reached = max(self.c.time, self.parts[self.c.part].reached if ended else -np.inf)
         return float(self.c.time if one_time(reached, self.c.time, self.c.start) else reached)
 
-    def begin(self) -> bool:
+    def begin(self) -> None:
         """Settle the start, and take the parts out of initialization mode; see `is_done`."""
         library = coupling_library()
         library.settle_coupled(ctypes.byref(self.c))
         if not self.is_done:
-            return False
+            return
         self.each(OpenedPart.leave_initialization)
         for place, part in zip(self.parts, self._wiring.parts.values(), strict=True):
             place.call = ctypes.pointer(part.functions)
         self.c.feeds = self._wiring.feeds.ctypes.data
         library.open_coupled(ctypes.byref(self.c))
-        return self.is_done
 
     def advance(self, goal: float) -> None:
         """Go on to a time, s; the answers are in `c`."""
