@@ -257,11 +257,11 @@ static inline int settle_rates(Coupling *self, Interface *at) {
     for (long long p = 0; p < system->n_parts; ++p) {
         const Part *part = system->parts + p;
         double *rates = self->y + part->first_output;
-        const int tells = part->rates && !part->ends;
-        if (tells && part->order && part_set_derivatives(&self->fmu, part, 1, self->change))
+        const int has_rates = part->rates && !part->ends;
+        if (has_rates && part->order && part_set_derivatives(&self->fmu, part, 1, self->change))
             return give_up(self, p), CALL_FAILED;
-        const int known = tells && !part_rates(&self->fmu, part, rates);
-        if (tells && !known && !is_discarded(&self->fmu)) return give_up(self, p), CALL_FAILED;
+        const int known = has_rates && !part_rates(&self->fmu, part, rates);
+        if (has_rates && !known && !is_discarded(&self->fmu)) return give_up(self, p), CALL_FAILED;
         for (long long i = 0; !known && i < part->outputs; ++i) rates[i] = NAN;
     }
     const long long m = system->inputs;

@@ -164,15 +164,16 @@ static inline int part_step(Fmu *fmu, Part *self, double time, double length) {
             call->get_boolean_status(call->instance, TERMINATED, &terminated);
         if (!terminated) return failed(fmu, function, status), NOT_STEPPED;
         terminate = true;
-        last = time;
+        last = time; /* which fmax returns instead of NaN */
         call->get_real_status(call->instance, LAST_SUCCESSFUL_TIME, &last);
+        last = fmax(last, time);
     } else if (failed(fmu, function, status)) { /* from an error, a saved state leads back */
         return status == FAILED && self->saved ? NOT_STEPPED : PART_FAILED;
     }
-    const double end = time + length; /* an event just behind it may have been reached already */
+    const double end = time + length;
+    if (terminate) last = last >= time ? fmin(last, end) : end; /* not all files tell where */
+    /* an event just behind the end may have been reached already */
     self->reached = early || terminate ? last : event ? fmax(last, end) : end;
-    if (terminate) /* not all files tell where */
-        self->reached = last >= time ? fmin(last, end) : status == DISCARD ? time : end;
     self->waits = event && self->event_mode;
     self->ends = terminate;
     return terminate ? PART_ENDED : self->waits ? AT_EVENT : STEPPED;

@@ -289,15 +289,16 @@ def _checked_class(second: bool, exchange: bool) -> type:
         """Return whether an event occurred, the run ends and the FMU returned early, and when."""
         try:
             base.doStep(self, time, size)
-        except FMICallException as why:
+        except FMICallException as error:
             ends = False
             last = time
-            with suppress(FMICallException):  # a file need not tell
-                ends = why.status == fmi2.fmi2Discard and self.getBooleanStatus(fmi2.fmi2Terminated)
+            with suppress(FMICallException):  # a file need not have these functions
+                discards = error.status == fmi2.fmi2Discard
+                ends = discards and self.getBooleanStatus(fmi2.fmi2Terminated)
                 last = self.getRealStatus(fmi2.fmi2LastSuccessfulTime) if ends else time
             if not ends:
                 raise
-            return False, True, True, max(time, last)  # not NaN
+            return False, True, True, max(time, last)  # `time` if `last` is NaN
         return False, False, False, time + size
 
     def method_of_fmi_3(self: Any, name: str) -> Any:

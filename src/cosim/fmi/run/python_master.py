@@ -298,7 +298,8 @@ def _plain_step(instance: Any) -> _Step:
         _, ends, early, last = instance.doStep(begin, end - begin)
         if early and not ends:
             raise FmuError("FMU returned early from doStep() but Early Return is not allowed.")
-        return min(last, end) if ends and last >= begin else end, ends  # 0: of files without one
+        is_known = ends and last >= begin  # it is 0 in files that do not tell where they end
+        return (min(last, end) if is_known else end), ends
 
     return step
 
