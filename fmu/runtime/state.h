@@ -125,7 +125,7 @@ typedef struct {
 #endif
     double widest[ROOM(N_LIMITS)];  /* margin of each limit so far: what it is measured by */
     double left[ROOM(N_LIMITS)];    /* last communication step outside each limit, from 1 on */
-    double outside[ROOM(N_LIMITS)]; /* 1: the limit is left */
+    double outside[ROOM(N_LIMITS)]; /* of each limit: 1 if it is left, or 0 */
     double stop_time;               /* infinite where none was given */
     double tolerance;               /* relative, of co-simulation */
     double steps;                   /* of communication, taken since the start */

@@ -16,14 +16,14 @@ typedef struct {
    is not watched any more, as margins beyond it may have poles; `valid` needs both directions. */
 static void note_side(Instance *self, int i, double time, bool inside) {
     State *state = &self->state;
-    double *known = &state->outside[i];
+    double *was_outside = &state->outside[i];
     const double step = state->steps + 1, last = state->left[i];
     if (inside && !HAS_VALID && state->interface == INTERFACE_ME) return;
-    if (!inside && *known == 0 && (last == 0 || step > last + 1))
+    if (!inside && *was_outside == 0 && (last == 0 || step > last + 1))
         log_text(self, WARNING, "invalid from %.12g s: %s", time, violations[i]);
     if (!inside) state->left[i] = step;
-    state->violated += (uint32_t)!inside - (uint32_t)*known;
-    *known = !inside;
+    state->violated += (uint32_t)!inside - (uint32_t)*was_outside;
+    *was_outside = !inside;
 }
 
 /* What is not a number is outside. */
