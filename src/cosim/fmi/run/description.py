@@ -61,7 +61,8 @@ def unit_of(variable: Any) -> str | None:
 def nominal_of(variable: Any) -> float | None:
     """Return the nominal value of a variable or of its type; None without a positive number."""
     declared = variable.declaredType
-    value = float(variable.nominal or (declared and declared.nominal) or 0.0)
+    nominal = variable.nominal or (declared.nominal if declared else None)
+    value = float(nominal or 0.0)
     return value if 0 < value < inf else None
 
 
@@ -90,11 +91,8 @@ def read_description(folder: Path, name: object) -> Any:
     except FmuError:
         raise
     except Exception as error:
-        reason = described(error)
-        remedy = "cosim check finds what is wrong"
-        raise FmuError(
-            f"{name}: modelDescription.xml cannot be read: {reason}; {remedy}"
-        ) from error
+        text = f"{DESCRIPTION} cannot be read: {described(error)}; cosim check finds what is wrong"
+        raise FmuError(f"{name}: {text}") from error
     for variable in description.modelVariables:
         if variable.name in names:
             variable.aliases = [VariableAlias(name=variable.name)]

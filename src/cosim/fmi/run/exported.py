@@ -40,16 +40,18 @@ def run(request: RunRequest, interface: str) -> Trajectory:
             f"{name}: stop_when, record_events and output_times are for native simulation; leave "
             "them out, or use the backend native"
         )
-    solver, options = request.solver, FmuKeywords(max_step=request.max_step)
-    unused = solver.name if isinstance(solver, Solver) else ""
-    if interface == Interface.CO_SIMULATION and unused in (*CO_SIMULATION_SOLVERS, *FIXED_STEPS):
-        options |= {"solver": unused, "step_size": getattr(solver, "step_size", None)}
-        unused = ""
+    solver = request.solver
+    solvers = (*CO_SIMULATION_SOLVERS, *FIXED_STEPS) if interface == Interface.CO_SIMULATION else ()
+    options = FmuKeywords(max_step=request.max_step)
+    note = ""
+    if isinstance(solver, Solver) and solver.name in solvers:
+        options |= {"solver": solver.name, "step_size": getattr(solver, "step_size", None)}
+    elif isinstance(solver, Solver):
+        note = f"{solver.name} is for native simulation: the FMU or its importer has another one"
     with temporary_folder() as folder:
         path = Path(folder) / "model.fmu"
         export_fmu(request.configured(), path, **options)
         found = run_file(request, path, interface)
-    note = unused and f"{unused} is for native simulation: the FMU or its importer has another one"
     note = one_note(note, found.stats.get("note"))
     return replace(found, stats={**found.stats, "note": note}) if note else found
 

@@ -117,8 +117,9 @@ class FmuRequest:
             series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
         if series is not None:
             _check_series(name, variables, series, values)
-        span = start, stop, interval
-        request = cls(description, interface, values, *span, recorded, series, tolerance)
+        request = cls(
+            description, interface, values, start, stop, interval, recorded, series, tolerance
+        )
         last = float(request.points[-1])
         if not one_time(last, stop, start):
             raise ParameterError(

@@ -39,8 +39,9 @@ def start_value(variable: Any) -> Any:
     """Return the start value of a variable of fmpy's as its type has it; 0 or "" if it has none."""
     if variable.type == "String":
         return variable.start or ""
-    whole = variable.type in RANGES or variable.type == "Enumeration"
-    return int(variable.start or 0) if whole else start_number(variable)
+    if variable.type in RANGES or variable.type == "Enumeration":
+        return int(variable.start or 0)
+    return start_number(variable)
 
 
 def typed_value(owner: str, variable: Any, value: Any) -> Any:
