@@ -15,15 +15,10 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
-from cosim.model.growth import (
-    Closer,
-    Growth,
-    growth_from_start,
-    unfollowed_growth,
-)
+from cosim.model.growth import Closer, Growth, growth_from_start, unfollowed_growth
 from cosim.model.solver import AdaptiveSolver, Tolerance
 from cosim.model.state_path import StatePath
-from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
+from cosim.model.troughs import MOST_TRIALS, MOST_TRIALS_OF_GROWTH, Trough, deepest_trough, resting
 from cosim.model.values import error_sizes, own_sizes
 from cosim.text import one_note
 
@@ -51,7 +46,7 @@ def followed_growth(
     closer = growth.closer(relative, absolute)
     if growth.rounding:
         return _noted(motion, growth.note(closer, absolute, False))
-    for _ in range(2):
+    for _ in range(MOST_TRIALS_OF_GROWTH):
         followed = run(closer)
         if followed.reason == INTERRUPTED:
             return followed

@@ -44,7 +44,7 @@ class StatePath:
 
     @property
     def begins(self) -> list[int]:
-        """The rows at the start and after the events before the longest times without one."""
+        """The first row, and those that begin the longest parts between events."""
         rows = self.jumps + 1
         lengths = np.diff(self.time[rows], append=self.time[-1])
         return [0, *rows[np.argsort(-lengths, kind="stable")[:_MOST_SPANS]].tolist()]
@@ -101,11 +101,11 @@ class Bends(NamedTuple):
         if not growing.any():
             return []
         rows, t = self.rows, self.time
-        every = _longest(np.logical_and.reduce(calm), t)
+        every = _longest(calm.all(axis=0), t)
         some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
         chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
         return [
-            (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
+            (int(rows[first]), int(rows[last]), calm[:, first:last].all(axis=1))
             for first, last in chosen
         ]
 

@@ -96,8 +96,8 @@ class Deviations:
             path = self._linearized()
         if path is not None and not isinstance(self.found, Trough):
             whole = unfollowed_growth(path, self.steps, *self._tolerances, self._closer)
-            every = [own for own in [whole, *self._grown] if own]
-            self.found = min(every, key=lambda own: (own.rounding, own.size), default=None)
+            known = filter(None, (whole, *self._grown))
+            self.found = min(known, key=lambda own: (own.rounding, own.size), default=None)
         if last is not None:
             self._rates(last.time[-1], last.states[:, -1])
 
@@ -155,8 +155,9 @@ class Deviations:
     ) -> StatePath:
         times, states = zip(*rows, strict=True)
         sizes = nominals_of(self._instance, len(self.names))
-        columns = np.array(times), np.array(states).T, sizes
-        return StatePath(self.names, *columns, rates, slopes, np.ones(len(sizes), dtype=bool))
+        every = np.ones(len(sizes), dtype=bool)
+        columns = np.array(states).T
+        return StatePath(self.names, np.array(times), columns, sizes, rates, slopes, every)
 
     def _block(self, getter: Any) -> Vector:
         values = (c_double * len(self.names))()

@@ -37,7 +37,7 @@ from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
 from cosim.model.growth import Growth
-from cosim.model.troughs import MOST_TRIALS, Trough
+from cosim.model.troughs import MOST_TRIALS, MOST_TRIALS_OF_GROWTH, Trough
 from cosim.text import moment, one_note
 from cosim.trajectory import Event, Trajectory
 
@@ -104,7 +104,7 @@ class OpenedFmu:
         with a smaller absolute tolerance.
         """
         found, lost = self._run(request, master)
-        trials = MOST_TRIALS if isinstance(lost, Trough) else 2
+        trials = MOST_TRIALS if isinstance(lost, Trough) else MOST_TRIALS_OF_GROWTH
         relative = request.relative_tolerance
         closer = request.closer
         text = _growth(found) if self.interface is Interface.CO_SIMULATION else ""
