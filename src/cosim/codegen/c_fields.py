@@ -15,7 +15,9 @@ _TYPES = {"long long": ctypes.c_longlong, "double": ctypes.c_double, "char*": ct
 
 
 def fields(header: str, name: str, **types: Any) -> Sequence[tuple[str, Any]]:
-    """Return the fields of a structure, for `ctypes.Structure`; arrays of sizes by macros as one.
+    """Return the fields of a structure, for `ctypes.Structure`.
+
+    An array whose size is no number, such as MODES, counts as a single one of its elements.
 
     Args:
         header: File in the package's folder of C code, e.g. "master/run.h".

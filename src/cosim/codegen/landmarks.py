@@ -362,23 +362,25 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
 def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
     """Return where an exp of a quadratic with a peak may move; none for other terms.
 
-    Parameters may move the peak, and change its widths.
+    That is within an ellipsoid about the peak, outside of which it is below FLAT of its greatest
+    value. Parameters may move the peak, and change its widths.
     """
     if several.value.op() != ca.OP_EXP:
         return []
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     places = sorted({mover for term in several.each for mover in term.movers})
     movers = moving[places]
-    bend, slope = ca.hessian(several.value.dep(0), movers)
-    if ca.depends_on(bend, moving):
+    hessian, gradient = ca.hessian(several.value.dep(0), movers)
+    if ca.depends_on(hessian, moving):
         return []
-    known = np.array(ca.Function("bend", [dae.p], [ca.densify(bend)])(p))
+    known = np.array(ca.Function("hessian", [dae.p], [ca.densify(hessian)])(p))
     if not np.isfinite(known).all() or not (np.linalg.eigvalsh(known) < 0).all():
         return []
-    inverse = ca.inv(ca.densify(bend))
-    middle = -inverse @ ca.substitute(slope, movers, SX.zeros(len(places)))
-    reach = ca.sqrt(2 * np.log(FLAT) * ca.diag(inverse))
-    shares, symbol = (movers - middle) / reach, SX.sym("share")
+    inverse = ca.inv(ca.densify(hessian))
+    peak = -inverse @ ca.substitute(gradient, movers, SX.zeros(len(places)))
+    half_widths = ca.sqrt(2 * np.log(FLAT) * ca.diag(inverse))  # of the ellipsoid
+    shares = (movers - peak) / half_widths
+    symbol = SX.sym("share")
     terms = (
         InnerTerm((mover,), share, symbol, several.value, (), ())
         for mover, share in zip(places, ca.vertsplit(shares), strict=True)

@@ -120,7 +120,7 @@ class Rows(NamedTuple):
         return cls(*(np.ascontiguousarray(column, dtype=float) for column in columns))
 
 
-_LEFT = [name for name, _ in fields("solvers/hybrid/switching.h", "Switching")]
+_MEMBERS = [name for name, _ in fields("solvers/hybrid/switching.h", "Switching")]
 Listener = Callable[[Vector, Vector, Vector, list[int]], None]  # x, z, u before; events of a round
 FreshRun = Callable[[float], tuple[Vector, Vector]]  # margins and their rates at a time, (m,)
 
@@ -138,7 +138,7 @@ class Switching:
     modes: int
 
     def _row(self, name: str) -> Vector:
-        return self.numbers[_LEFT.index(name) * (self.modes + 1) :][: self.modes]
+        return self.numbers[_MEMBERS.index(name) * (self.modes + 1) :][: self.modes]
 
     @property
     def states(self) -> Vector:
@@ -153,7 +153,7 @@ class Switching:
     @property
     def last_event(self) -> float:
         """Time of the last event, s."""
-        return float(self.numbers[_LEFT.index("last") - len(_LEFT)])
+        return float(self.numbers[_MEMBERS.index("last") - len(_MEMBERS)])
 
     @property
     def sliding(self) -> frozenset[int]:

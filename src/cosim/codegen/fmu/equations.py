@@ -14,20 +14,11 @@ from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.time_bounds import Enclosures, limit_enclosures
 from cosim.codegen.casadi_library import add_integrator, sources_beside
 from cosim.codegen.casadi_patches import patched
-from cosim.codegen.fmu.derivatives import (
-    argument_like,
-    sensitivity_formulas,
-    sensitivity_functions,
-)
+from cosim.codegen.fmu.derivatives import argument_like, sensitivity_formulas, sensitivity_functions
 from cosim.codegen.fmu.solver import DOP853, ERK, FIXED_STEPS, LOOK_STEPS, most_steps, uses_dop853
 from cosim.codegen.functions import CALL, Laws, driven_equations, hoisted, is_large
 from cosim.codegen.hybrid_laws import law_functions
-from cosim.codegen.initialization import (
-    knowns,
-    prepared_algebraic,
-    projection_step,
-    start_function,
-)
+from cosim.codegen.initialization import knowns, prepared_algebraic, projection_step, start_function
 from cosim.codegen.runge_kutta.tableau import Tableau
 from cosim.memo import cached_per_thread
 
@@ -158,7 +149,8 @@ def generated_code(
         return code
     given = "arg[2][2]"
     code = patched(code, "run_time_tolerances", relative=given, absolute=f"0.01 * {given}")
-    code = code if solver == ERK else patched(code, "underflow")
+    if solver != ERK:  # which solves no linear equations
+        code = patched(code, "underflow")
     return patched(code, "differential_errors") if dae.algebraics else code
 
 
