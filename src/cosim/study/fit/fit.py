@@ -373,6 +373,7 @@ class _Problem:
             self.subject.run(own, r.names, r.time)
             for own, r in zip(values, self.records, strict=True)
         )
+        jumps = self._at_jumps(best.x, np.sqrt(np.diag(covariance)) * relative, runs)
         return Fit(
             columns=self.unknowns.columns,
             x=self.unknowns.of_scaled(best.x),
@@ -381,11 +382,7 @@ class _Problem:
             reach=reach,
             rank=rank,
             unidentified=self._not_identified(free, lost),
-            notes=(
-                *(*notes, *self._late()),
-                *self._at_jumps(best.x, np.sqrt(np.diag(covariance)) * relative, runs),
-                *self._at_bounds(best),
-            ),
+            notes=(*notes, *self._late(), *jumps, *self._at_bounds(best)),
             noise=dict(zip(self.names, best.noise.tolist(), strict=True)),
             samples=self.samples,
             start_values=self.fixed,
@@ -403,11 +400,9 @@ class _Problem:
         names = [self.unknowns.names[place] for place in places]
         if len(names) == len(lost):
             return (f"not identified: {', '.join(names)} (the measurements do not depend on it)",)
-        left = len(names) - len(lost)
-        return (
-            f"not identified: of {', '.join(names)} only {left} "
-            f"{'combination' if left == 1 else 'combinations'}; fix {len(lost)} of these values",
-        )
+        left = counted(len(names) - len(lost), "combination")
+        several = f"of {', '.join(names)} only {left}; fix {len(lost)} of these values"
+        return (f"not identified: {several}",)
 
     def _late(self) -> list[str]:
         """Return sentences on records that begin later after the run than they are long."""
@@ -423,15 +418,16 @@ class _Problem:
 
         There, the residuals have no slope, and the minimizer may end.
         """
+        steps = np.diag(errors)[np.isfinite(errors)]
+        neighbors = [*(x - steps), *(x + steps)]
         passed = set[float]()
         for i, (record, run) in enumerate(zip(self.records, runs, strict=True)):
             before = _jumps_before(run, record.time)
-            for step in np.diag(errors)[np.isfinite(errors) & before.any()]:
-                for near in (x - step, x + step):
-                    with suppress(SolverError, InitialConditionError):
-                        other = self.subject.run(self.values(near, i), record.names, record.time)
-                        after = _jumps_before(other, other.time)
-                        passed |= {*other.time[after != before[: len(after)]]}
+            for near in neighbors if before.any() else ():
+                with suppress(SolverError, InitialConditionError):
+                    other = self.subject.run(self.values(near, i), record.names, record.time)
+                    after = _jumps_before(other, other.time)
+                    passed |= {*other.time[after != before[: len(after)]]}
         if not passed:
             return []
         which = f"{counted(len(passed), 'measurement')}, the first at {min(passed):.6g} s"

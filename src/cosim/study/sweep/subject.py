@@ -211,10 +211,10 @@ class FmuSubject:
         def simulate(row: dict[str, float]) -> Trajectory:
             options = {"start_values": row, "outputs": outputs, **taken}
             with self._one_at_a_time:
-                if not self._apart:
-                    run = self._fmu.run(self._fmu.request(**options))
-                else:
+                if self._apart:
                     run = run_apart(self._path, **options)
+                else:
+                    run = self._fmu.run(self._fmu.request(**options))
             if len(run) != len(time) and "stop" not in run.stats:
                 raise FmuError(f"it recorded {len(run)} of {len(time)} output times")
             note = {"invalid": (run.stats["note"],)} if "note" in run.stats else {}
