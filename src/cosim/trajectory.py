@@ -74,7 +74,7 @@ class Trajectory:
         numbers: Parameters and constant inputs of the run, SI; None if not known.
         again: Computes the run at other times within its span; None if it cannot be computed again.
         events: What happened at instants, in order.
-        changes: Returns between which times it may change within a part of a step, s, if known.
+        changes: Returns times, s, (m,), between which it may change in a part of a step; or None.
 
     Raises:
         UsageError: The shapes do not fit, or a variable occurs twice.

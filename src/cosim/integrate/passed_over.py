@@ -39,7 +39,7 @@ _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
-_LOOKS = 2  # for places: with rows in those of the first, the second tells them exactly
+_LOOKS = 2  # for places: the second has rows in those of the first, and finds them exactly
 _MOST_ENDS = 1_000  # of steps in a place
 
 
@@ -171,7 +171,8 @@ def with_switching(dae: Dae, names: tuple[str, ...]) -> Dae:
 @cached_per_thread(16)
 def _with_outputs(dae: Dae, names: tuple[str, ...]) -> tuple[Dae, list[int]]:
     """Return `with_conditions` with some outputs as limits, and the modes of outputs alone."""
-    system, dae = hybrid(dae), with_conditions(dae)
+    system = hybrid(dae)
+    dae = with_conditions(dae)
     outputs = zip(dae.output_variables, ca.vertsplit(dae.outputs), strict=True)
     own = ((value, v.name) for v, value in outputs if v.name in names)
     alone = list[int]()
@@ -199,19 +200,21 @@ def changes_of(
         motion: The motion.
         again: Returns it with further rows.
     """
-    (watched, alone), grid, steps = _with_outputs(dae, names), motion.time, _counted(motion)
+    grid = motion.time
     if len(grid) < 2:
         return np.empty(0)
-    sides = ((pair[0].t, pair[0].modes != pair[1].modes) for pair in motion.instants)
-    switches = [np.array([t for t, switched in sides if switched[alone].any()], dtype=float)]
-    rows, places = rows_between(motion, grid), list[Place]()
+    watched, alone = _with_outputs(dae, names)
+    steps = _counted(motion)
+    switches = [a.t for a, b in motion.instants if (a.modes != b.modes)[alone].any()]
+    rows = rows_between(motion, grid)
+    places = list[Place]()
     for _ in range(_LOOKS):
         motion = again(rows) if len(rows) else motion
         places = _found(watched, motion, steps)
         if not places:
             break
         rows = _inside(grid, [rows, *(place.times for place in places)])
-    return _inside(grid, [*switches, *(place.edges for place in places)])
+    return _inside(grid, [np.array(switches), *(place.edges for place in places)])
 
 
 def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:

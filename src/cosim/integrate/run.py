@@ -58,7 +58,8 @@ from cosim.trajectory import Event, Trajectory
 
 # Reciprocal condition number of the constraints below which a solver may have failed of it
 _NEARLY_SINGULAR = 0.5
-_MOST_SWITCHES = 50, 2_000  # of conditions in outputs; of a solver that goes through events
+_MOST_SWITCHES = 50  # of conditions in outputs
+_MOST_COMPILED_SWITCHES = 2_000  # with a solver that passes events in compiled code
 _SHORTER = "give a smaller step_size, or a solver with error control"
 
 
@@ -282,8 +283,9 @@ def changes_in(request: RunRequest) -> Vector:
     switching = with_switching(dae, names)
     if not may_change(switching, names):
         return np.empty(0)
-    few = _MOST_SWITCHES[prepared.problem.compiled and prepared.inner.watches]
-    for own, most in {switching: few, dae: inf}.items():
+    passes_events = prepared.problem.compiled and prepared.inner.watches
+    few = _MOST_COMPILED_SWITCHES if passes_events else _MOST_SWITCHES
+    for own, most in {switching: few, dae: inf}.items():  # no limit if they are the same
         problem = replace(prepared.problem, dae=own, most_instants=most)
         motion, _, again = _integrated(replace(prepared, problem=problem), request.numbers)
         if motion.reason == INTERRUPTED:

@@ -233,8 +233,7 @@ def rows_of(path: Path) -> list[tuple[int, list[str]]]:
     if not lines:
         raise UsageError(f"{path} is empty; give a CSV file with a header")
     head = lines[0][1]
-    mark = next((mark for mark in (";", "\t", ",") if mark in head), ",")
-    mark = declared[1] if declared else mark
+    mark = declared[1] if declared else next((m for m in (";", "\t", ",") if m in head), ",")
     rows = [(i, _cells(f"{path}, line {i}", line, mark)) for i, line in lines]
     return _with_decimal_points([row for row in rows if any(map(str.strip, row[1]))])
 

@@ -191,14 +191,14 @@ def curves(
     shortest = 1e3 * np.spacing(max(abs(begin), abs(end)))  # else its nodes are the same numbers
     widths = [_NODES * (end - begin) / (_PER_STEP * max(count, 1)) for count in steps]
     even = _first_edges(begin, end, breaks, len(rows[0].time))
-    found = changes or [np.empty(0)] * len(rows)
-    first = [_with_changes(even, own, shortest).tolist() for own in found]
+    own_changes = changes or [np.empty(0)] * len(rows)
+    edges = [_with_changes(even, own, shortest).tolist() for own in own_changes]
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
     leaves = [list[tuple[float, float, Vector, Truths]]() for _ in rows]
     waiting = {
         run: [panel for panel in pairwise(own) if _width(panel) > shortest]
-        for run, own in enumerate(first)
+        for run, own in enumerate(edges)
     }
     largest = [_largest(own.values) for own in rows]
     for level in range(_LEVELS + 1):

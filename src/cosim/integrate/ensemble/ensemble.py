@@ -273,17 +273,18 @@ class Ensemble:
             return
         nodes = 4 * max(len(self.time), 4 * int(self.steps.max(initial=0)))
         size = max(1, _NUMBERS // (nodes * len(self.columns) + 1))
-        edges = {i: self.changes(i) if self.changes else np.empty(0) for i in plain.tolist()}
-        calm = np.array([i for i, own in edges.items() if not len(own)], dtype=np.int64)
+        changes = {i: self.changes(i) if self.changes else np.empty(0) for i in plain.tolist()}
+        calm = np.array([i for i, own in changes.items() if not len(own)], dtype=np.int64)
         groups = [calm[first : first + size] for first in range(0, len(calm), size)]
-        for some in [*groups, *np.setdiff1d(plain, calm)[:, None]]:
+        alone = np.setdiff1d(plain, calm)[:, None]  # the times of a group are those of all its runs
+        for some in [*groups, *alone]:
             found = curves(
                 partial(lambda some, times, runs: again(times, some[runs]), some),
                 [Rows(self.time, self.values[i]) for i in some],
                 [int(self.steps[i]) for i in some],
                 float(self.stats.get("relative_tolerance") or DEFAULT_RELATIVE_TOLERANCE),
                 np.array([column.nominal for column in self.columns]),
-                changes=[edges[i] for i in some.tolist()],
+                changes=[changes[i] for i in some.tolist()],
             )
             yield from zip(some.tolist(), found, strict=True)
 
