@@ -124,7 +124,7 @@ class PrintCompletion(argparse.Action):
             near = did_you_mean(shell, shtab.SUPPORTED_SHELLS)
             names = near or f"; give one of {', '.join(shtab.SUPPORTED_SHELLS)}"
             parser.exit(3, f"cosim: no shell '{shell}'{names}\n")
-        whole = command_line.__wrapped__()
+        whole = command_line.__wrapped__()  # not the cached parser, as its help is altered
         for action in (a for p in (whole, *whole.verbs().values()) for a in p._actions):
             if isinstance(action, argparse._SubParsersAction):
                 action.help = "what to do"  # hidden actions are not completed

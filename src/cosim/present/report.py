@@ -94,7 +94,8 @@ def _validity(run: Trajectory) -> str:
 def _system(c: ReportContents) -> Iterable[str]:
     yield "<h2>The system</h2>"
     facts = {"model": c.dae.full_name, "source": c.dae.source}
-    facts["description"] = c.scene.title and c.dae.description  # else it is the title of the page
+    if c.scene.title:  # otherwise the description is the title of the page
+        facts["description"] = c.dae.description
     counts = size(c.dae)
     facts["equations"] = (
         f"{counts.states} differential, {counts.algebraics} algebraic; {counts.operations} scalar "

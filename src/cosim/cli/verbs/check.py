@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> int:
     except FmuError as error:
         if not is_file(args.file):
             raise
+        # without a cause, the description is missing; LookupError: its encoding is not known
         in_xml = isinstance(error.__cause__, ExpatError | LookupError | None)
         place, rule = (DESCRIPTION, "xml") if in_xml else ("archive", "archive")
         found = str(error).removeprefix(f"{args.file}: ")
