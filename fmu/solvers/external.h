@@ -64,7 +64,7 @@ SHARED int run_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long
     *sz_arg = OWN_ARGUMENTS + WORK_ARG;
     *sz_res = OWN_RESULTS + RESULTS_OF_A_LAW + WORK_RES; /* `call_law` writes them all */
     *sz_iw = WORK_IW;
-    *sz_w = WORK_W + MODES * MODES;
+    *sz_w = WORK_OF_LAWS;
     return 0;
 }
 

@@ -69,8 +69,8 @@ static inline void tell(Call *call, const Ending *found) {
 /* Sizes of structures and of the laws, which Python compares; of `Switching` and of the work space,
  * in numbers. */
 SHARED void cosim_kernel_sizes(long long *out) {
-    const long long sizes[] = {sizeof(Call),   sizeof(MotionRows),    NX, NZ, NU, MODES, EVENTS,
-                               SWITCHING_SIZE, WORK_W + MODES * MODES};
+    const long long sizes[] = {sizeof(Call), sizeof(MotionRows), NX,          NZ, NU, MODES,
+                               EVENTS,       SWITCHING_SIZE,     WORK_OF_LAWS};
     memcpy(out, sizes, sizeof sizes);
 }
 

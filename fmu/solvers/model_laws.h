@@ -33,13 +33,13 @@ typedef struct {
     const double **arg;   /* CasADi's work space */
     double **res;
     long long *iw;
-    double *w; /* its WORK_W numbers, and MODES * MODES more */
+    double *w; /* its WORK_W numbers, and the room of `Laws`: WORK_OF_LAWS */
     void (*move)(const void *owner, double t, double slopes[]); /* gives slopes; or NULL */
     const void *owner;                                          /* of `move` */
     const double *departure; /* second derivatives of inputs that rest, and move on; or NULL */
 } LawOwner;
 
-enum { RESULTS_OF_A_LAW = 5 };
+enum { RESULTS_OF_A_LAW = 5, WORK_OF_LAWS = WORK_W + MODES * MODES };
 typedef double *Results[RESULTS_OF_A_LAW];
 
 static inline bool call_law(const LawOwner *self, Equations *function, const Point *at,
