@@ -229,7 +229,8 @@ def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
         return _times(a, {(): 1 / b[()]})
     if code in _SUMS:
         first, last = _SUMS[code]
-        return {key: first * a.get(key, 0) + last * b.get(key, 0) for key in a | b}
+        zero = SX(0)
+        return {key: first * a.get(key, zero) + last * b.get(key, zero) for key in a | b}
     return _times(a, b) if code in (ca.OP_MUL, ca.OP_SQ) else None
 
 

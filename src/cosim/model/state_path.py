@@ -101,11 +101,11 @@ class Bends(NamedTuple):
         if not growing.any():
             return []
         rows, t = self.rows, self.time
-        every = _longest(calm.all(axis=0), t)
+        every = _longest(np.logical_and.reduce(calm), t)
         some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
         chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
         return [
-            (int(rows[first]), int(rows[last]), calm[:, first:last].all(axis=1))
+            (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
             for first, last in chosen
         ]
 

@@ -192,13 +192,13 @@ def curves(
     widths = [_NODES * (end - begin) / (_PER_STEP * max(count, 1)) for count in steps]
     even = _first_edges(begin, end, breaks, len(rows[0].time))
     own_changes = changes or [np.empty(0)] * len(rows)
-    edges = [_with_changes(even, own, shortest).tolist() for own in own_changes]
+    first = [_with_changes(even, own, shortest).tolist() for own in own_changes]
     older = dict[tuple[int, tuple[float, float]], tuple[Vector, Vector]]()  # tails two levels up
     unknown = np.full(len(sizes), np.inf)
     leaves = [list[tuple[float, float, Vector, Truths]]() for _ in rows]
     waiting = {
         run: [panel for panel in pairwise(own) if _width(panel) > shortest]
-        for run, own in enumerate(edges)
+        for run, own in enumerate(first)
     }
     largest = [_largest(own.values) for own in rows]
     for level in range(_LEVELS + 1):

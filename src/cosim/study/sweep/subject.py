@@ -211,6 +211,7 @@ class FmuSubject:
         def simulate(row: dict[str, float]) -> Trajectory:
             options = {"start_values": row, "outputs": outputs, **taken}
             with self._one_at_a_time:
+                run: Trajectory
                 if self._apart:
                     run = run_apart(self._path, **options)
                 else:
