@@ -6,6 +6,7 @@ import pytest
 from casadi import SX
 
 import cosim
+from cosim.integrate import passed_over
 from cosim.integrate.passed_over import with_switching
 
 PLACE, SPEED, WIDTH = 3.217, 10.0, 1e-5
@@ -152,3 +153,23 @@ def test_conditions_that_switch_very_often_hide_no_bump(solver):
     found = cosim.simulate(model.freeze(), solver=solver).curves
     np.testing.assert_allclose(found.extremes.high[1:], [1e4, 1], rtol=2e-4)
     np.testing.assert_allclose(found.mean()[1:], [4999.5, BUMP / 10], rtol=1e-3)
+
+
+@pytest.mark.parametrize("most", [7, 8])
+def test_so_many_changes_that_to_look_at_each_would_last_are_not_sought(most, monkeypatch):
+    monkeypatch.setattr(passed_over, "_MOST_PLACES", most)
+    model = cosim.Model("oscillator", stop_time=4 * np.pi, output_interval=0.5)
+    x, v = model.state("x", "1", 1.0, "place"), model.state("v", "1/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -x)
+    model.output("y", "1", ca.exp(-(((x - 0.3) / 1e-4) ** 2)), "bump, passed 4 times")
+    model.output("z", "1", ca.exp(-(((x + 0.3) / 1e-4) ** 2)), "bump, passed 4 times")
+    model.output("sign", "1", ca.sign(x), "which switches 4 times")
+    run = cosim.simulate(model.freeze(), solver="dop853")
+    assert run.changes is not None
+    found = run.changes()
+    if most == 8:
+        assert len(found) > 4
+        assert run.select(["y", "z"]).curves.extremes.high == pytest.approx(1)
+    else:
+        np.testing.assert_allclose(found, np.pi * (np.arange(4) + 0.5), rtol=1e-7)

@@ -194,6 +194,8 @@ def changes_of(
 ) -> Vector:
     """Return between which times quantities may change within a part of an average step, s.
 
+    Terms that bend more often than `_MOST_PLACES` are left out.
+
     Args:
         dae: The model; see `with_switching`.
         names: Of the quantities; those that are no outputs change where the equations do.
@@ -205,16 +207,19 @@ def changes_of(
         return np.empty(0)
     watched, alone = _with_outputs(dae, names)
     steps = _counted(motion)
-    switches = [a.t for a, b in motion.instants if (a.modes != b.modes)[alone].any()]
+    switched = [a.t for a, b in motion.instants if (a.modes != b.modes)[alone].any()]
+    switches = [np.array(switched)]
     rows = rows_between(motion, grid)
     places = list[Place]()
     for _ in range(_LOOKS):
         motion = again(rows) if len(rows) else motion
         places = _found(watched, motion, steps)
+        if len(places) > _MOST_PLACES:  # to look at each would take minutes and gigabytes
+            return _inside(grid, switches)
         if not places:
             break
         rows = _inside(grid, [rows, *(place.times for place in places)])
-    return _inside(grid, [np.array(switches), *(place.edges for place in places)])
+    return _inside(grid, [*switches, *(place.edges for place in places)])
 
 
 def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
