@@ -392,3 +392,26 @@ def test_what_moves_at_once_is_no_deviation():
     """Its modes of contact push the wheels, which sink at once; the bicycle does not lean."""
     run = cosim.simulate("examples/bicycle_jump.py:build", solver="dop853", stop_time=0.4)
     assert "grows by e" not in run.stats.get("note", "")  # before: contactA, 0.021
+
+
+def test_growth_that_is_followed_to_the_end_is_said_without_a_time():
+    model = cosim.Model("washed_out", stop_time=65.0, output_interval=1.0)
+    x = model.state("x", "1", 0.0, "amount")
+    model.derivative(x, x * (1 - x) + 1e-12)
+    model.when(model.t > 40, {x: 1e-14}, name="washed out")
+    run = cosim.simulate(model.freeze(), solver="cvodes")
+    amount = 1.01e-12 * np.exp(25) - 1e-12
+    assert run.final["x"] == pytest.approx(amount / (1 + amount), rel=1e-5)
+    assert "so that it is followed" in run.stats["note"]
+    assert "inf" not in run.stats["note"]
+
+
+def test_chance_after_growth_that_is_followed_is_said():
+    model = cosim.Model("upright_again", stop_time=120.0, output_interval=0.5)
+    x, v = model.state("x", "rad", 0.0, "angle"), model.state("v", "rad/s", 0.0, "rate")
+    model.derivative(x, v)
+    model.derivative(v, ca.sin(x) - 0.1 * v + ca.if_else(model.t < 40, 1e-13, 0))
+    model.when(model.t > 60, {x: 2 * np.pi, v: 0}, name="upright again")
+    note = cosim.simulate(model.freeze(), solver="cvodes").stats["note"]
+    assert "so that it is followed" in note
+    assert "s on, x is at an unstable equilibrium but for rounding" in note

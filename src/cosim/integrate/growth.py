@@ -56,7 +56,9 @@ def followed_growth(
         closer = later.closer(relative, absolute, closer)
     found = motion if followed.reason else followed
     helps = found is followed and (later is None or later.rounding)
-    return _noted(found, growth.note(closer, absolute, helps))
+    noted = _noted(found, growth.note(closer, absolute, helps))
+    # no tolerance follows rounding
+    return _noted(noted, later.note(closer, absolute, False)) if helps and later else noted
 
 
 def _noted(motion: Motion, text: str) -> Motion:

@@ -81,7 +81,8 @@ class Growth(NamedTuple):
             )
         own = f"absolute_tolerance {absolute * float(closer.shares):.2g}"
         if followed:
-            advice = f"ran with {own} up to {moment(closer.until, 6)} s, so that it is followed"
+            until = f" up to {moment(closer.until, 6)} s" if np.isfinite(closer.until) else ""
+            advice = f"ran with {own}{until}, so that it is followed"
         else:
             advice = f"it may be suppressed: it needs {own}"
         return (
