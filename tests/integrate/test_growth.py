@@ -16,6 +16,7 @@ from cosim.integrate.ensemble.ensemble import RunState
 from cosim.integrate.ensemble.lanes import in_lanes
 from cosim.integrate.growth import followed_growth
 from cosim.model.inputs import InputSeries
+from cosim.text import Ending
 
 PUSH, FALLEN = 1e-13, 3.96360057983538  # rad/s2; rad after 30 s, by steps of 1 ms
 LONG = {"stop_time": 3000, "output_interval": 30}
@@ -415,3 +416,23 @@ def test_chance_after_growth_that_is_followed_is_said():
     note = cosim.simulate(model.freeze(), solver="cvodes").stats["note"]
     assert "so that it is followed" in note
     assert "s on, x is at an unstable equilibrium but for rounding" in note
+
+
+def test_a_run_that_followed_growth_stays_where_the_next_one_fails(monkeypatch):
+    def failing(run, *rest):
+        def again(closer):
+            motion = run(closer)
+            last = closer is not None and closer.until == np.inf
+            return replace(motion, reason=Ending("failed")) if last else motion
+
+        return followed_growth(again, *rest)
+
+    monkeypatch.setattr("cosim.integrate.events.followed_growth", failing)
+    model = cosim.Model("washed_out", stop_time=65.0, output_interval=1.0)
+    x = model.state("x", "1", 0.0, "amount")
+    model.derivative(x, x * (1 - x) + 1e-12)
+    model.when(model.t > 40, {x: 1e-14}, name="washed out")
+    run = cosim.simulate(model.freeze(), solver="cvodes")
+    amount = 1e-12 * np.expm1(39)
+    assert run["x"][39] == pytest.approx(amount / (1 + amount), rel=1e-4)  # before: -1e-12
+    assert "it may be suppressed: it needs absolute_tolerance" in run.stats["note"]

@@ -46,15 +46,17 @@ def followed_growth(
     closer = growth.closer(relative, absolute)
     if growth.rounding:
         return _noted(motion, growth.note(closer, absolute, False))
+    found, later = motion, None
     for _ in range(MOST_TRIALS_OF_GROWTH):
         followed = run(closer)
         if followed.reason == INTERRUPTED:
             return followed
-        later = None if followed.reason else growth_in(followed, solver.tolerance, closer)
+        if followed.reason:
+            break
+        found, later = followed, growth_in(followed, solver.tolerance, closer)
         if later is None or later.rounding or later.time < closer.until:
             break
         closer = later.closer(relative, absolute, closer)
-    found = motion if followed.reason else followed
     helps = found is followed and (later is None or later.rounding)
     noted = _noted(found, growth.note(closer, absolute, helps))
     # no tolerance follows rounding
