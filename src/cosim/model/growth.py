@@ -333,7 +333,8 @@ def growth_along(
     line = np.where(on_line, path.states[:, [first]] + rate * (t - t[first]), path.states)
     rows = np.unique([first, (first + last) // 2, last])
     jumps = path.jumps[(first <= path.jumps) & (path.jumps < last)]
-    changes = np.where(calm[:, None], path.states[:, jumps + 1] - path.states[:, jumps], 0)
+    own = calm & path.grows  # others push
+    changes = np.where(own[:, None], path.states[:, jumps + 1] - path.states[:, jumps], 0)
     changes /= sizes[:, None]
     if not (changes.any() or path.rates(t[rows], line[:, rows]).any()):
         return None
