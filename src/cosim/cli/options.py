@@ -113,14 +113,13 @@ def _file_name(endings: Sequence[str], drawn: bool) -> Callable[[str], str]:
     """
 
     def checked(name: str) -> str:
+        known, ending = " or ".join(endings), Path(name).suffix.lower()
         if name == "-":
-            raise argparse.ArgumentTypeError("- names no file; leave the option out to print")
-        ending = Path(name).suffix.lower()
+            hint = f"give a name with {known}, or leave the option out"
+            raise argparse.ArgumentTypeError(f"- names no file; {hint}")
         if (ending or name.endswith(".")) and ending not in endings:  # Python 3.14 calls it "."
             hint = f", or draw with --figure {name}" if drawn and ending in _PICTURES else ""
-            raise argparse.ArgumentTypeError(
-                f"{name}: give a name with {' or '.join(endings)}{hint}"
-            )
+            raise argparse.ArgumentTypeError(f"{name}: give a name with {known}{hint}")
         return name
 
     return checked
