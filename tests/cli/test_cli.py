@@ -124,6 +124,23 @@ def test_check_places_a_fault_of_the_description_in_its_file(files, found, tmp_p
     assert finding["found"].startswith(found)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("../x", "", ("archive", "archive")),
+        ("sources/buildDescription.xml", "<a>", ("xml", "sources/buildDescription.xml")),
+    ],
+)
+def test_check_places_other_faults_where_they_are(name, text, expected, tmp_path, capsys):
+    path = tmp_path / "a.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", "<a/>")
+        archive.writestr(name, text)
+    assert main(["check", str(path), "--json"]) == 4
+    (finding,) = json.loads(capsys.readouterr().out)
+    assert (finding["rule"], finding["place"]) == expected
+
+
 def test_a_missing_file_of_a_model_is_an_unknown_model(capsys):
     assert main(["simulate", "nofile.py:build"]) == 3
     assert capsys.readouterr().err.startswith("UnknownName: nofile.py is not a file")

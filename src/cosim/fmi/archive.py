@@ -42,7 +42,7 @@ MOST_XML_BYTES = 2**26
 MOST_XML_DEPTH = 64
 DESCRIPTION = "modelDescription.xml"
 SYSTEM_DESCRIPTION = "SystemStructure.ssd"
-_READ_BY_TOOLS = (DESCRIPTION, "sources/buildDescription.xml")
+READ_BY_TOOLS = (DESCRIPTION, "sources/buildDescription.xml")
 _READ_BY_NO_RUN = re.compile(r"documentation/|sources/.*\.h$")
 
 _KINDS = {DESCRIPTION: "an FMU", SYSTEM_DESCRIPTION: "an SSP file"}
@@ -78,7 +78,7 @@ def opened(
             raise FmuError(f"cannot read {name}: {reason}; give {_KINDS[description]}") from error
         try:
             _reject_dangerous_entries(archive, most_bytes)
-            for entry in _READ_BY_TOOLS:
+            for entry in READ_BY_TOOLS:
                 if entry in archive.namelist():
                     reject_dangerous_xml(entry, entry_content(archive, entry, MOST_XML_BYTES))
             if description not in archive.namelist():

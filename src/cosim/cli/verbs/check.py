@@ -2,12 +2,11 @@
 
 import argparse
 import sys
-from xml.parsers.expat import ExpatError
 
 from cosim.cli.tables import note, show_table
 from cosim.errors import FmuError
 from cosim.files import is_file
-from cosim.fmi.archive import DESCRIPTION
+from cosim.fmi.archive import READ_BY_TOOLS
 from cosim.fmi.check.check import examine
 from cosim.fmi.check.finding import ADVICE, RULES, WRONG, Finding, Rule
 from cosim.fmi.check.isolated import try_apart
@@ -26,10 +25,10 @@ def run(args: argparse.Namespace) -> int:
     except FmuError as error:
         if not is_file(args.file):
             raise
-        # without a cause, the description is missing; LookupError: its encoding is not known
-        in_xml = isinstance(error.__cause__, ExpatError | LookupError | None)
-        place, rule = (DESCRIPTION, "xml") if in_xml else ("archive", "archive")
         found = str(error).removeprefix(f"{args.file}: ")
+        named = (one for one in READ_BY_TOOLS if found.startswith((one, f"it has no {one}")))
+        place = next(named, "archive")
+        rule = "archive" if place == "archive" else "xml"
         findings, args.trials = [RULES[rule].about(place, found)], False
     if args.trials:
         findings += _trials(args)
