@@ -275,3 +275,6 @@ def test_steps_of_one_size_that_miss_the_stop_time_are_an_error(master, tmp_path
     with pytest.raises(ParameterError, match=r"0\.03 s lead to 0\.99 s and not to 1 s; give stop"):
         cosim.simulate_fmu(path, master=master)
     assert cosim.simulate_fmu(path, master=master, output_interval=0.05).time[-1] == 1
+    span = {"start_time": 1000, "stop_time": 1000.9, "output_interval": 7e-4}
+    with pytest.raises(ParameterError, match=r"to 1000\.8995 s and not to 1000\.9 s; give stop"):
+        cosim.simulate_fmu(path, master=master, **span)

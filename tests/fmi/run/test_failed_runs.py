@@ -97,6 +97,15 @@ def test_description_of_another_version_is_an_error(fmus, tmp_path):
         cosim.simulate_fmu(path)
 
 
+def test_description_without_a_version_is_an_error(fmus, tmp_path):
+    def anonymous(root: ET.Element) -> None:
+        del root.attrib["fmiVersion"]
+
+    path = with_description(fmus["decay", 2], tmp_path / "x.fmu", anonymous)
+    with pytest.raises(FmuError, match="is of FMI of unknown version, which cannot be run"):
+        cosim.simulate_fmu(path)
+
+
 def test_a_name_that_two_variables_have_is_an_error(fmus, tmp_path):
     def rename(root: ET.Element) -> None:
         for name in ("x", "y"):

@@ -80,7 +80,7 @@ def read_description(folder: Path, name: object) -> Any:
 
     try:
         root = ET.parse(folder / DESCRIPTION).getroot()
-        version = root.get("fmiVersion") or "no version"
+        version = root.get("fmiVersion") or "of unknown version"
         if not version.startswith(("2.0", "3.")):
             called = f"{name} is of FMI {sentence(version)}, which cannot be run"
             raise FmuError(f"{called}; export it as FMI 2.0 or 3.0")

@@ -123,8 +123,8 @@ class FmuRequest:
         last = float(request.points[-1])
         if not one_time(last, stop, start):
             raise ParameterError(
-                f"{name}: the FMU takes steps of one size only, of which {interval:g} s lead to "
-                f"{last:g} s and not to {stop:g} s; give stop_time or output_interval"
+                f"{name}: the FMU takes steps of one size only, of which {interval:.12g} s lead "
+                f"to {last:.12g} s and not to {stop:.12g} s; give stop_time or output_interval"
             )
         return request
 
