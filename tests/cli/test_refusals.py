@@ -98,8 +98,14 @@ def refused(capsys, monkeypatch, tmp_path):
         ("fit bicycle.fmu record.csv --free g --solver idas", "--solver is for models"),
         ("simulate bicycle.fmu --backend native-interpreted", "--backend is for models"),
         ("simulate bicycle --timeout 0", "--timeout: 0 is not a positive time"),
-        ("sweep bicycle -p g=1,2 -o -", "- names no file; give a name with .csv, or leave the option"),
-        ("export bicycle -o -", "- names no file; give a name with .fmu or .ssp, or leave the option"),
+        (
+            "sweep bicycle -p g=1,2 -o -",
+            "- names no file; give a name with .csv, or leave the option",
+        ),
+        (
+            "export bicycle -o -",
+            "- names no file; give a name with .fmu or .ssp, or leave the option",
+        ),
         ("simulate bicycle.fmu -p phi=3deg", "phi = 3deg: give a number in the FMU's own unit"),
     ],
 )
