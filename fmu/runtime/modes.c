@@ -31,8 +31,9 @@ Status refuse_ending(Instance *self, Status severity, const Ending *why, const c
     switch (why->reason) {
     case NO_VALUE: return refuse(self, severity, "the event at %.12g s has no result", t);
     case NO_MODES:
-        return refuse(self, severity, "no consistent modes at %.12g s after %d trials (%s)", t,
-                      MOST_ROUNDS, relation_names[why->part]);
+        return refuse(self, severity,
+                      "no consistent modes at %.12g s (%s); use a smooth law such as tanh there", t,
+                      relation_names[why->part]);
     case TOO_MANY_ROUNDS:
         return refuse(self, severity, "'%s' happens again and again at %.12g s, more than %d times",
                       rule, t, MOST_ROUNDS);
@@ -113,10 +114,6 @@ bool follow_at(Instance *self, const Point *at) {
     return follow(&laws, &self->state.switching, at);
 }
 
-bool is_sliding_now(const Instance *self) {
-    return is_sliding(&self->state.switching);
-}
-
 /* The relations at the present values. */
 Status look_now(Instance *self, Seen *seen) {
     const Point at = present(self);
@@ -138,7 +135,7 @@ static bool is_kept_by_inputs(const Laws *laws, const Switching *s, const Seen *
 Status complete_step(Instance *self, Status severity) {
     Switching *s = &self->state.switching;
     const Laws laws = laws_of(self);
-    const bool any = any_leaves(s) || is_sliding(s);
+    const bool any = any_is(s, LEAVES) || any_is(s, SLIDES);
     Seen seen;
     const Status status = any ? look_now(self, &seen) : OK;
     if (!any || status != OK) return status;
@@ -218,7 +215,7 @@ static void let_go(SearchedStep *self, double end) {
     Switching *s = &self->fmu->state.switching;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Seen seen;
-    if (!any_leaves(s)) return;
+    if (!any_is(s, LEAVES)) return;
     self->motion->at(self->motion->solver, end, x, z, u);
     const Point at = {end, x, z, u};
     if (look_closely(&self->laws, s, &at, &seen))

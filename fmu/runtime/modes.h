@@ -31,7 +31,7 @@ static void leave_sides(Instance *self);
    none that keep their arguments. */
 static Status follow_present(Instance *self);
 static bool follow_at(Instance *self, const Point *at);
-static bool is_sliding_now(const Instance *self);
+#define is_sliding_now(self) any_is(&(self)->state.switching, SLIDES)
 
 /* The relations at the present values; how far those not of time alone are within their modes. */
 static Status look_now(Instance *self, Seen *seen);

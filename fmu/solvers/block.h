@@ -50,7 +50,7 @@ static inline int begin_run(BlockRun *self) {
     const Laws *laws = &self->watch.laws;
     Switching *switching = &self->switching;
     if (begin_modes(laws, switching, &at, self->block->span).reason != GOES_ON ||
-        begin_events(laws, switching, &at).reason != GOES_ON || is_sliding(switching))
+        begin_events(laws, switching, &at).reason != GOES_ON || any_is(switching, SLIDES))
         return 1;
     if (EVENTS > 0) return let_happen(self, t, -1);
     plan(laws, switching, &at, t, self->watch.until, true, NEVER_AGAIN);

@@ -220,7 +220,7 @@ static inline bool stays_on_cubic(void *cubic, const Place *a, const Place *b) {
     Sample samples[NODES];
     double du[NU + 1];
     /* bounds know no modes between -1 and 1 */
-    if (ENCLOSED == 0 || is_sliding(kernel->switching)) return true;
+    if (ENCLOSED == 0 || any_is(kernel->switching, SLIDES)) return true;
     for (int k = 0; k < NODES; k++)
         move_on_cubic(self, node_between(a->t, b->t, k), samples[k], samples[k] + NX, du);
     const Point at = {a->t, kernel->at.x, kernel->at.z, kernel->at.u};

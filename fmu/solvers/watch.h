@@ -91,7 +91,7 @@ static inline int look_afresh(const Watch *self, double t, const double *x, doub
 static inline void let_go(const Watch *self, double t, const double *x) {
     double dx[NX], z[NZ + 1], modes[MODES + 1], towards[MODES + 1];
     Seen seen = {.arguments = {0}};
-    if (!any_leaves(self->switching) || equations_at(self->problem, t, x, dx, z)) return;
+    if (!any_is(self->switching, LEAVES) || equations_at(self->problem, t, x, dx, z)) return;
     if (relations_at(self, t, x, z, dx, &seen, modes, towards))
         note_inside(&self->laws, self->switching, modes, seen.arguments);
 }
@@ -239,7 +239,7 @@ static inline int pass_event(Watch *self, const Crossing *crossing, double *x, b
     memcpy(z, problem->z, NZ * sizeof *z);
     memcpy(u, problem->u, NU * sizeof *u);
     happen(&self->laws, self->switching, &at, x, crossing->relation, later, NULL, &found, &replan);
-    if (found.ending.reason != GOES_ON || (replan && !plans) || is_sliding(self->switching)) {
+    if (found.ending.reason != GOES_ON || (replan && !plans) || any_is(self->switching, SLIDES)) {
         *self->switching = saved;
         memcpy(x, state, sizeof state);
         memcpy(problem->z, z, NZ * sizeof *z);

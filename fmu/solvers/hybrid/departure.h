@@ -43,7 +43,7 @@ static inline bool look_after(const Laws *laws, const Switching *s, const Point 
     }
     go_along(from, &mean, h / 6, &to);
     to.at.t = from->t + h;
-    return look_closely(laws, s, &to.at, found);
+    return look_along(laws, s, &to.at, found);
 }
 
 /* Whether a second derivative grows as that of an argument that leaves its boundary. */

@@ -58,7 +58,7 @@ static inline bool stays_within(const Laws *laws, const Switching *s, const Poin
                                 double length, const Spans *spans, const double a[],
                                 const double b[]) {
     double lows[2 * ENCLOSED + 1], highs[2 * ENCLOSED + 1];
-    if (ENCLOSED == 0 || is_sliding(s) || !(length > 0)) return true;
+    if (ENCLOSED == 0 || any_is(s, SLIDES) || !(length > 0)) return true;
     if (!laws->enclose(laws->owner, at, length, spans, lows, highs)) return false;
     for (int row = 0; row < ENCLOSED; row++) {
         const int i = laws->enclosed[row];

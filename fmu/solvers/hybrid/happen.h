@@ -260,8 +260,7 @@ static inline Ending reject_staying(const Laws *laws, const Switching *s, const 
     bool doubt = false;
     for (int i = 0; i < EVENTS; i++) doubt |= happened[i] && laws->rules[i].barriers > 0;
     if (!doubt) return GOING_ON;
-    if (!decide(laws, s, at, &now) || !look_closely(laws, s, at, &seen))
-        return ending(NO_VALUE, -1);
+    if (!decide(laws, s, at, &now) || !look_along(laws, s, at, &seen)) return ending(NO_VALUE, -1);
     for (int i = 0; i < EVENTS; i++) {
         const Rule *rule = &laws->rules[i];
         if (!happened[i] || !(now.conditions[i] > 0)) continue;

@@ -185,13 +185,13 @@ static inline void note_slack(const Laws *laws, Switching *s, const Point *at) {
 }
 
 /* Ends the sliding of relations whose modes have left -1 ... 1, on the side that the mode tells. */
-static inline bool release(Switching *s, double modes[], bool zero[]) {
+static inline bool release(Switching *s, double modes[], bool zero[], bool kept[]) {
     bool any = false;
     for (int i = 0; i < MODES; i++) {
         if (s->state[i] != SLIDES || fabs(modes[i]) <= 1 + EDGE) continue;
         s->state[i] = FREE;
         modes[i] = modes[i] > 0 ? 1 : -1;
-        zero[i] = any = true;
+        zero[i] = kept[i] = any = true;
     }
     return any;
 }
@@ -211,13 +211,16 @@ static inline void note_jumps(Switching *s, const Seen *before, const Seen *now,
     }
 }
 
-/* Changes the first mode that is not consistent, or lets its relation slide; false without a
- * value. */
+/* Changes the first mode that is not consistent, or the last one, or lets its relation slide; false
+ * without a value. */
 static inline bool change_one(const Laws *laws, Switching *s, const Point *at, const Seen *seen,
-                              bool zero[], const bool decided[], bool *changed) {
+                              bool zero[], const bool decided[], const bool kept[], bool back,
+                              bool *changed) {
     double *modes = modes_of(at);
-    for (int i = 0; i < MODES; i++) {
+    for (int k = 0; k < MODES; k++) {
+        const int i = back ? MODES - 1 - k : k;
         if (s->state[i] == SLIDES || decided[i]) continue;
+        if (kept[i] && zero[i] && rests_on(s, seen, i)) continue;
         bool at_zero = zero[i];
         const double mode = required(laws, s, at, seen, i, &at_zero);
         if (mode == modes[i]) continue;
@@ -225,7 +228,7 @@ static inline bool change_one(const Laws *laws, Switching *s, const Point *at, c
         modes[i] = mode;
         if (!at_zero || laws->relations[i].floor || laws->relations[i].of_time) return true;
         Seen other;
-        if (!look_closely(laws, s, at, &other)) return false;
+        if (!look_along(laws, s, at, &other)) return false;
         look_ahead(laws, s, at, zero, &other);
         if (required(laws, s, at, &other, i, &at_zero) != mode) {
             s->state[i] = SLIDES;
@@ -265,6 +268,7 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
  * decided: relations that keep their modes although their arguments are 0. */
 static inline Ending settle(const Laws *laws, Switching *s, const Point *at, bool zero[],
                             const bool decided[]) {
+    bool kept[MODES + 1] = {0}; /* as released, where others slide instead */
     Seen seen, before;
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
         if (!look_or_release(laws, s, at, zero, &seen)) return ending(NO_VALUE, -1);
@@ -274,8 +278,9 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
         if (trial > 0) note_jumps(s, &before, &seen, zero);
         before = seen;
-        bool changed = release(s, modes_of(at), zero);
-        if (!changed && !change_one(laws, s, at, &seen, zero, decided, &changed))
+        bool changed = release(s, modes_of(at), zero, kept);
+        const bool back = trial > 2 * MODES && trial % 2 != 0; /* breaks cycles */
+        if (!changed && !change_one(laws, s, at, &seen, zero, decided, kept, back, &changed))
             return ending(NO_VALUE, -1);
         if (changed) continue;
         note_zeros(laws, s, &seen, zero);

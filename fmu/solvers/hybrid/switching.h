@@ -94,15 +94,9 @@ static inline double next_until(const Switching *s, double end) {
     return s->next < end - rounding ? s->next : end;
 }
 
-static inline bool is_sliding(const Switching *s) {
+static inline bool any_is(const Switching *s, int state) {
     for (int i = 0; i < MODES; i++)
-        if (s->state[i] == SLIDES) return true;
-    return false;
-}
-
-static inline bool any_leaves(const Switching *s) {
-    for (int i = 0; i < MODES; i++)
-        if (s->state[i] == LEAVES) return true;
+        if (s->state[i] == state) return true;
     return false;
 }
 

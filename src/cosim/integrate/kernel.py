@@ -435,7 +435,10 @@ def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
         case Reason.NO_VALUE:
             why = [f"the equations have no value at the event at {t:.12g} s"]
         case Reason.NO_MODES:
-            why = [f"no consistent modes at {t:.12g} s ({system.described(part)})"]
+            why = [
+                f"no consistent modes at {t:.12g} s ({system.described(part)})",
+                "use a smooth law such as tanh there",
+            ]
         case Reason.TOO_MANY_ROUNDS:
             why = [
                 f"{event} happens again and again at {t:.12g} s, more than 100 times",
