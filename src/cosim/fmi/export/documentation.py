@@ -87,12 +87,12 @@ def documentation_page(plan: Plan, *, pictured: bool) -> str:
         source=escape(dae.source),
         solver=escape(plan.solver),
         tolerance=f"{plan.options.tolerance:g}",
-        limits=html_list("The model is valid while", (meaning for _, meaning in dae.limits)),
+        limits=html_list("The model is valid while", [meaning for _, meaning in dae.limits]),
         diagram=_FIGURE if pictured else "",
         sections="".join(sections),
-        equations=html_list(_EQUATIONS, (f"{left} = {right}" for left, right in formulas(dae))),
+        equations=html_list(_EQUATIONS, [f"{left} = {right}" for left, right in formulas(dae)]),
         invariants=html_list(
-            "The exact solution fulfills", (one.meaning for one in dae.invariants)
+            "The exact solution fulfills", [one.meaning for one in dae.invariants]
         ),
     )
 
