@@ -149,7 +149,7 @@ def test_goal_is_reached_although_another_candidate_seems_cheapest(monkeypatch):
         every = tuple(replace(c, solve_time=rng.uniform(1, 100)) for c in found.every)
         drawn = replace(found, every=every)
         monkeypatch.setattr(
-            "cosim.study.accuracy.choice.measured_candidates",
+            "cosim.study.accuracy.choice.candidates_of",
             lambda *_, found=drawn, **__: found,
         )
         runs = Runs(lambda *configuration: known[configuration])
