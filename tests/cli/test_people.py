@@ -287,6 +287,11 @@ def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
+def test_no_help_shows_a_hidden_option(verb):
+    assert argparse.SUPPRESS not in command_line().verbs()[verb].format_help()
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
 def test_no_verb_offers_an_option_that_it_does_not_read(verb):
     folder = Path(cosim.cli.__file__).parent
     own = (folder / "verbs" / f"{verb}.py").read_text()

@@ -129,7 +129,7 @@ def add_options(parser: Parser, verb: Verb) -> None:
     """Add the options of a verb and `--help`."""
     exclusive: argparse._MutuallyExclusiveGroup | None = None
     for name, fields in verb.options.items():
-        keywords = dict(fields)
+        keywords = {"help": argparse.SUPPRESS, **fields}  # without a text, an option is hidden
         group = getattr(parser, keywords.pop("topic"))
         flags = keywords.pop("flags", [f"--{name.replace('_', '-')}"])
         if keywords.pop("positional", False):
