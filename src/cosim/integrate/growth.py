@@ -15,10 +15,17 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
 from cosim.memo import cached_per_thread
-from cosim.model.growth import Closer, Growth, growth_from_start, unfollowed_growth
+from cosim.model.growth import (
+    MOST_TRIALS_OF_GROWTH,
+    Closer,
+    Growth,
+    growth_from_start,
+    has_lines,
+    unfollowed_growth,
+)
 from cosim.model.solver import AdaptiveSolver, Tolerance
 from cosim.model.state_path import StatePath
-from cosim.model.troughs import MOST_TRIALS, MOST_TRIALS_OF_GROWTH, Trough, deepest_trough, resting
+from cosim.model.troughs import MOST_TRIALS, Trough, deepest_trough, resting
 from cosim.model.values import error_sizes, own_sizes
 from cosim.text import one_note
 
@@ -138,6 +145,14 @@ def growth_in(motion: Motion, tolerance: Tolerance, closer: Closer | None = None
         return None
     path = _path(motion, _sizes(motion, tolerance))
     return unfollowed_growth(path, motion.counts.steps or 0, *tolerance.pair, closer)
+
+
+def may_grow(motion: Motion, tolerance: Tolerance) -> bool:
+    """Return whether `growth_in` may find one, also where the events of a motion are not known."""
+    if not any_grows(motion.dae) or len(motion.time) < 2:
+        return False
+    path = _path(motion, _sizes(motion, tolerance))
+    return has_lines(path, motion.counts.steps or 0, *tolerance.pair)
 
 
 def _sizes(motion: Motion, tolerance: Tolerance) -> Vector:

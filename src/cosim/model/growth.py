@@ -19,6 +19,7 @@ from cosim.arrays import Integers, Truths, Vector
 from cosim.model.state_path import Bends, Span, StatePath
 from cosim.text import moment
 
+MOST_TRIALS_OF_GROWTH = 2  # as another deviation may grow after the first one
 EFFECT = 100  # least error that matters, in relative tolerances
 _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
@@ -91,6 +92,11 @@ class Growth(NamedTuple):
         )
 
 
+def smallest_of(found: Iterable[Growth]) -> Growth | None:
+    """Return the smallest deviation, which is no rounding if there is another one."""
+    return min(found, key=lambda growth: (growth.rounding, growth.size), default=None)
+
+
 class Closer(NamedTuple):
     """Smaller absolute tolerances for the first part of a run.
 
@@ -126,6 +132,16 @@ def suppressed_growth(
         if found := level.smallest(chain(own, *first)):
             return found
     return None
+
+
+def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
+    """Return whether a motion has lines along which a deviation may grow; see `suppressed_growth`.
+
+    Rows tell, without those at the sides of events.
+    """
+    calm = _levels(relative, absolute)[-1].calm  # the most that is
+    spans = Bends.of(path, steps).spans(relative, calm * path.sizes, path.grows)
+    return bool(spans) or steps >= len(path.time)
 
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
@@ -166,7 +182,7 @@ class _Level(NamedTuple):
         """Return the smallest deviation that grows along lines."""
         every = (growth_along(*line, self.least, self.error) for line in lines)
         few = [own for own in every if own and (own.size < self.few or own.rounding)]
-        return min(few, key=lambda growth: (growth.rounding, growth.size), default=None)
+        return smallest_of(few)
 
 
 def _levels(relative: float, absolute: float) -> list[_Level]:
@@ -225,7 +241,7 @@ def _first_lines(path: StatePath, row: int, relative: float, absolute: float) ->
         return
     for length, own in chosen:
         time = np.union1d(t, np.linspace(begin, begin + length, _PLACES))
-        states = np.array([np.interp(time, t, row) for row in path.states])
+        states = np.array([np.interp(time, t, state) for state in path.states])
         first, last = time.searchsorted((begin, begin + length)).tolist()
         yield replace(path, time=time, states=states), first, last, own
 
@@ -372,7 +388,7 @@ def growth_along(
             wanted = -np.log(size)
             until = np.interp(wanted, grown, course.time) + max(wanted - grown[-1], 0) / value.real
             found.append(Growth(state, begin, 1 / float(value.real), size, float(until), only))
-    return min(found, key=lambda growth: (growth.rounding, growth.size), default=None)
+    return smallest_of(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ from cosim.series.samples import ROUNDING_OF_OTHERS
 from cosim.text import moment
 
 MOST_TRIALS = 6  # of a run, each with a smaller tolerance
-MOST_TRIALS_OF_GROWTH = 2  # as another deviation may grow after the first one
 _TINY = 1e-60  # nominal values, of a state whose own rate is proportional to it
 _FEW_LOOKS, _LOOKS = 3, 50  # rows of a motion at which a state may rest at 0
 _SPARE = 0.01  # of the least tolerance that controls all digits

@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.arrays import Vector
 from cosim.fmi.run.request import FmuRequest, nominals_of, state_names
-from cosim.model.growth import Growth, growth_from_start, unfollowed_growth
+from cosim.model.growth import Growth, growth_from_start, smallest_of, unfollowed_growth
 from cosim.model.state_path import StatePath
 from cosim.model.troughs import Trough, deepest_trough
 
@@ -96,8 +96,7 @@ class Deviations:
             path = self._linearized()
         if path is not None and not isinstance(self.found, Trough):
             whole = unfollowed_growth(path, self.steps, *self._tolerances, self._closer)
-            known = filter(None, (whole, *self._grown))
-            self.found = min(known, key=lambda own: (own.rounding, own.size), default=None)
+            self.found = smallest_of(filter(None, (whole, *self._grown)))
         if last is not None:
             self._rates(last.time[-1], last.states[:, -1])
 

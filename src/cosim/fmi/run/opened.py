@@ -36,8 +36,8 @@ from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state
 from cosim.fmi.trust import is_made_here
 from cosim.host.signals import interruptible
 from cosim.memo import cached_per_thread
-from cosim.model.growth import Growth
-from cosim.model.troughs import MOST_TRIALS, MOST_TRIALS_OF_GROWTH, Trough
+from cosim.model.growth import MOST_TRIALS_OF_GROWTH, Growth
+from cosim.model.troughs import MOST_TRIALS, Trough
 from cosim.text import moment, one_note
 from cosim.trajectory import Event, Trajectory
 

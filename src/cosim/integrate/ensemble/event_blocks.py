@@ -25,7 +25,7 @@ from cosim.integrate.ensemble.ensemble import Row
 from cosim.integrate.ensemble.lanes import nominal_sizes, within_bounds
 from cosim.integrate.events import records_of
 from cosim.integrate.families.explicit import Dop853, block_library
-from cosim.integrate.growth import any_grows, growth_in
+from cosim.integrate.growth import growth_in, may_grow
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
@@ -243,7 +243,7 @@ class EventBlocks:
         known = unquestioned(motion, with_conditions(self._prepared.problem.dae))
         if known is None:
             return None
-        if any_grows(motion.dae):
+        if may_grow(known, self._tolerance):
             sides = [(each.before, each.after) for each in _passed(values, events)]
             if growth_in(replace(known, instants=sides), self._tolerance) is not None:
                 return None
