@@ -1,6 +1,7 @@
 """`Copies`: many copies of a model that are advanced together."""
 
 import io
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn, Protocol, Self
 
@@ -246,14 +247,8 @@ class Copies:
         """
         content = io.BytesIO()
         engine = self._require()
-        texts = {"reasons": engine.reasons, "invalid": engine.invalid}
-        lists = {
-            f"{name}_{part}": np.array(list(column))
-            for name, found in texts.items()
-            for part, column in (("at", found.keys()), ("text", found.values()))
-        }
-        facts = {"model": np.array(engine.owner), "clock": np.array(self._clock.facts)}
-        arrays = {**facts, **lists, **engine.save()}
+        facts = engine.owner, self._clock.facts, engine.reasons, engine.invalid
+        arrays: dict[str, Any] = {"facts": json.dumps(facts), **engine.save()}
         np.savez(content, allow_pickle=False, **arrays)  # checksums of a ZIP archive
         return content.getvalue()
 
@@ -269,8 +264,7 @@ class Copies:
         try:
             with np.load(io.BytesIO(saved)) as content:
                 arrays = dict(content)
-            model, (now, first, length, count) = str(arrays.pop("model")), arrays.pop("clock")
-            texts = [arrays.pop(f"{n}_{p}") for n in ("reasons", "invalid") for p in ("at", "text")]
+            model, clock, *texts = json.loads(str(arrays.pop("facts")))
         except Exception as error:
             raise UsageError(f"{self.name}: these bytes are no saved copies, or damaged") from error
         if model != engine.owner or not engine.fits(arrays):
@@ -279,11 +273,8 @@ class Copies:
                 "number of them"
             )
         rejected = engine.restore(arrays)
-        self._clock = Clock(float(now), float(first), float(length), int(count))
-        engine.reasons, engine.invalid = (
-            dict(zip(at.astype(int).tolist(), text.tolist(), strict=True))
-            for at, text in (texts[:2], texts[2:])
-        )
+        self._clock = Clock(*clock)
+        engine.reasons, engine.invalid = ({int(i): t for i, t in own.items()} for own in texts)
         engine.reasons |= rejected
 
     def _require(self) -> Engine:
