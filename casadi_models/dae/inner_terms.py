@@ -91,7 +91,7 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
             continue
         movers = [symbol for symbol in moving if symbol.element_hash() in own]
         node, variables = _in_variables(dae, movers, term)
-        given = _parameters_of(dae, node.form)
+        given = parameters_of(dae, node.form)
         each = list[InnerTerm]()
         for variable, symbol in (variables[root] for root in sorted(node.roots)):
             (mover,) = symbols(variable).keys() & places.keys()
@@ -129,9 +129,10 @@ def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[
                 yield found._replace(variable=ca.substitute(found.variable, symbol, value))
 
 
-def _parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:
+def parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:
     """Return the positions of the parameters on which an expression depends."""
-    which = ca.which_depends(value, dae.p, 1, False) if dae.parameters else []
+    used = bool(dae.parameters) and value.numel() > 0
+    which = ca.which_depends(value, dae.p, 1, False) if used else []
     return tuple(i for i, depends in enumerate(which) if depends)
 
 
@@ -169,7 +170,7 @@ def _inner(dae: Dae, places: tuple[int, ...], moving: SX, term: SX) -> Iterator[
             value = ca.substitute(value, ca.vertcat(*symbols), ca.vertcat(*first))
             value = ca.substitute(value, moving, symbol)
         tables = tuple(_tables(piece)) if not more else ()
-        yield InnerTerm(places, variable, symbol, value, _parameters_of(dae, value), tables)
+        yield InnerTerm(places, variable, symbol, value, parameters_of(dae, value), tables)
 
 
 def _combined(

@@ -482,10 +482,8 @@ class Trajectory:
         return presenter("animate")(self, target, **options)
 
     def _index(self, name: str) -> int:
-        try:
-            return self.names.index(name)
-        except ValueError:
-            raise UnknownName.among(f"{self.model}: run", "variable", name, self.names) from None
+        UnknownName.reject(f"{self.model}: run", "variable", self.names, name)
+        return self.names.index(name)
 
     def _rows(self) -> Curves:
         own = self.with_events()

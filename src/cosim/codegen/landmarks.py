@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from casadi_models.dae import Dae, Variable
+from casadi_models.dae import Dae
 from casadi_models.dae.expressions import at_irregular_place, column
 from casadi_models.dae.inner_terms import (
     InnerTerm,
@@ -21,6 +21,7 @@ from casadi_models.dae.inner_terms import (
     in_waves,
     inner_terms,
     inner_terms_of_several,
+    parameters_of,
 )
 from casadi_models.dae.single_terms import in_postorder
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
@@ -126,7 +127,7 @@ def landmarks(dae: Dae) -> Landmarks:
             for change in fixed:
                 term = change.term
                 times.append(way_of(dae, term, change.places, p))
-                given.update(v.name for v in _depends(dae, ca.vertcat(term.variable, term.value)))
+                given.update(_depends(dae, ca.vertcat(term.variable, term.value)))
         if len(movers) == 1 and not any(change.is_wave for change in needed):
             needed = _without_repeated(dae, needed, p)
         many = sum(len(change.places) for change in needed) > _MOST
@@ -140,7 +141,7 @@ def landmarks(dae: Dae) -> Landmarks:
         arguments=arguments,
         times=np.unique(np.concatenate(times)),
         moving=tuple(moving),
-        followed=tuple(v.name for v in _depends(dae, arguments)),
+        followed=tuple(_depends(dae, arguments)),
         given=tuple(sorted(given)),
         passed=tuple(passed),
     )
@@ -405,12 +406,9 @@ def _last_flat(rests: Callable[[Vector], Truths], begins: Vector) -> Vector:
     return last
 
 
-def _depends(dae: Dae, expression: SX) -> list[Variable]:
-    """Return the parameters on which an expression depends."""
-    if not (expression.numel() and dae.parameters):
-        return []
-    which = ca.which_depends(expression, dae.p, 1, False)
-    return [v for v, depends in zip(dae.parameters, which, strict=True) if depends]
+def _depends(dae: Dae, expression: SX) -> list[str]:
+    """Return the names of the parameters on which an expression depends."""
+    return [dae.parameters[i].name for i in parameters_of(dae, expression)]
 
 
 def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:

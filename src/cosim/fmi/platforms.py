@@ -93,11 +93,8 @@ def targets(names: Sequence[str], fmi: int) -> dict[str, tuple[Target, ...]]:
     chosen: dict[str, tuple[Target, ...]] = {}
     if not names:
         raise ExportError("an FMU needs a platform; name one, or leave the choice out")
+    UnknownName.reject("cosim export", "platform", (NATIVE, ALL_PLATFORMS, *PLATFORMS), *names)
     for name in dict.fromkeys(names):
-        if name not in (*PLATFORMS, NATIVE, ALL_PLATFORMS):
-            raise UnknownName.among(
-                "cosim export", "platform", name, (NATIVE, ALL_PLATFORMS, *PLATFORMS)
-            )
         every = [n for n in PLATFORMS if fmi > 2 or n != "aarch64-linux"]
         for one in every if name == ALL_PLATFORMS else [name]:
             if one == "aarch64-linux" and fmi == 2:

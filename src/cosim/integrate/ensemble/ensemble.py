@@ -195,8 +195,7 @@ class Ensemble:
         """
         if name == "time":
             return self.time
-        if name not in self.names:
-            raise UnknownName.among(f"{self.model}: ensemble", "variable", name, self.names)
+        UnknownName.reject(f"{self.model}: ensemble", "variable", self.names, name)
         return self.values[:, :, self.names.index(name)]
 
     def with_runs(self, runs: Integers, others: Ensemble) -> Ensemble:
