@@ -4,7 +4,6 @@ An entry is a plain file with the SHA-256 of its content: a library has it in it
 entry in its first line. An entry that does not match is treated as missing.
 """
 
-import hashlib
 import os
 import stat
 import tempfile
@@ -20,6 +19,7 @@ from cosim.codegen.c_sources import cache_folder
 from cosim.errors import CacheError
 from cosim.files import opened_plain
 from cosim.host.temporary import remove_leftovers
+from cosim.memo import digest_of
 
 LARGEST_CACHE = 2 * 10**9  # bytes, unless $COSIM_CACHE_SIZE is set
 MOST_ENTRY = 2**30  # bytes
@@ -102,7 +102,7 @@ def content_of(name: str) -> bytes | None:
     if stored is None:
         return None
     head, _, content = stored.partition(b"\n")
-    if head != _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode():
+    if head != _ENTRY_HEAD + digest_of([content]).encode():
         remove_damaged(place)
         return None
     return content
@@ -117,7 +117,7 @@ def store(name: str, content: bytes) -> None:
     """
     place = private_folder() / name
     place.parent.mkdir(mode=0o700, exist_ok=True)
-    head = _ENTRY_HEAD + hashlib.sha256(content).hexdigest().encode() + b"\n"
+    head = _ENTRY_HEAD + digest_of([content]).encode() + b"\n"
     handle, new = tempfile.mkstemp(dir=place.parent, prefix=".new-")
     try:
         with os.fdopen(handle, "wb") as stream:

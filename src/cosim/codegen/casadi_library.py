@@ -1,6 +1,5 @@
 """Compiled CasADi functions, and the C code of the external functions that they call."""
 
-import hashlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 
 from cosim.codegen.compiler import cached_library
 from cosim.errors import MissingTool, UsageError
-from cosim.memo import cached_per_thread
+from cosim.memo import cached_per_thread, digest_of
 
 _KINDS = ("External", "GenericExternal")
 _INTEGRATORS = ("Erk", "Rosenbrock")
@@ -140,7 +139,7 @@ def _reject_other_code(name: str, function: ca.Function, path: Path, code: str) 
 @cached_per_thread(16)
 def _compiled(name: str, path: Path, code: str) -> ca.Function:
     """Return an external function compiled from its C code."""
-    key = f"external {hashlib.sha256(code.encode()).hexdigest()}"
+    key = f"external {digest_of([code.encode()])}"
     try:
         return ca.external(name, str(cached_library(key, lambda: _ALONE + code)))
     except (MissingTool, RuntimeError) as error:
@@ -211,5 +210,5 @@ def library_around(kind: str, before: str, functions: Sequence[ca.Function], aft
 
 def cache_key(kind: str, function: ca.Function, *more: bytes) -> str:
     """Return the key of a compiled function in the cache; the same key means the same code."""
-    digest = hashlib.sha256(b"\0".join((function.serialize().encode(), *more))).hexdigest()
+    digest = digest_of((function.serialize().encode(), *more))
     return f"{kind} {ca.CasadiMeta.version()} {digest}"

@@ -5,7 +5,6 @@ level in $CC, as in CC="gcc -O0", replaces those of this package.
 """
 
 import ctypes
-import hashlib
 import os
 import platform
 import re
@@ -32,6 +31,7 @@ from cosim.errors import CompilerTimeout, MissingTool, UsageError
 from cosim.host.progress import doing
 from cosim.host.signals import ended_by_signals
 from cosim.host.temporary import loads_no_library, temporary_folder
+from cosim.memo import digest_of
 
 # First bytes of libraries for Linux, Windows, macOS (of one and of several processors), and WASM
 _BINARIES = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\0asm")
@@ -229,7 +229,7 @@ def cached_library(
     own, processor = _own_processor()
     settings = (*command, *FLAGS, *_HIDE_SYMBOLS, *own, processor, _LONG, str(_LENGTH))
     more = (text for file in beside.items() for text in file)
-    digest = hashlib.sha256("\0".join((key, *settings, *more)).encode()).hexdigest()[:32]
+    digest = digest_of(map(str.encode, (key, *settings, *more)))[:32]
     folder = cache_folder()
     try:
         folder = private_folder()
@@ -251,7 +251,7 @@ def cached_library(
             options = (*_HIDE_SYMBOLS, *own, *([_LONG] * (len(code) >= _LENGTH)))
             sources = [build / name for name in files]
             compile_library(sources, library, options=options, command=command)
-            checksum = hashlib.sha256(library.read_bytes()).hexdigest()
+            checksum = digest_of([library.read_bytes()])
             target = folder / f"{digest}-{checksum}{SUFFIX}"
             _store_library(library, target)
         prune()
@@ -320,7 +320,7 @@ def _stored(folder: Path, digest: str) -> Path | None:
         content = plain_file(place)
         if content is None:
             continue
-        if place.stem != f"{digest}-{hashlib.sha256(content).hexdigest()}":
+        if place.stem != f"{digest}-{digest_of([content])}":
             remove_damaged(place)
         elif _loads(place):
             return place

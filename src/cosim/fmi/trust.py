@@ -1,6 +1,5 @@
 """Trust: the FMUs that this user exported or trusts, known by the hash of their bytes."""
 
-import hashlib
 import os
 import sys
 
@@ -8,6 +7,7 @@ from cosim.codegen.cache import content_of, store_if_possible
 from cosim.errors import FmuError, SecurityError, UsageError
 from cosim.files import read_plain
 from cosim.fmi.archive import opened
+from cosim.memo import digest_of
 
 TRUST_VARIABLE = "COSIM_TRUST"
 MADE, TRUSTED = "exported here", "trusted by its user"
@@ -86,4 +86,4 @@ def _at_a_terminal() -> bool:
 
 
 def _entry(content: bytes) -> str:
-    return f"made/{hashlib.sha256(content).hexdigest()}"
+    return f"made/{digest_of([content])}"

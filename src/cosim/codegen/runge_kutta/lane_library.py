@@ -1,7 +1,6 @@
 """Compiled solver that runs many variants of one model in SIMD lanes."""
 
 import ctypes
-import hashlib
 import platform
 from collections.abc import Sequence
 from functools import cache
@@ -21,7 +20,7 @@ from cosim.codegen.initialization import start_function
 from cosim.codegen.runge_kutta.lanes import LANE_OPERATIONS, vector_text
 from cosim.codegen.runge_kutta.stage_sums import LANES, NAMES, dop853_sums
 from cosim.errors import UsageError
-from cosim.memo import cached_per_thread
+from cosim.memo import cached_per_thread, digest_of
 
 SIZES = (1, 2, 4, 8)  # possible numbers of lanes
 
@@ -107,7 +106,7 @@ _CSE = {"cse": True}
 
 def _compiled(kind: str, text: str) -> ctypes.CDLL:
     """Return the library of C code, from the cache if possible."""
-    key = f"{kind} {hashlib.sha256(text.encode()).hexdigest()}"
+    key = f"{kind} {digest_of([text.encode()])}"
     return ctypes.CDLL(str(cached_library(key, lambda: text)))
 
 
