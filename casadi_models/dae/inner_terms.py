@@ -216,6 +216,11 @@ def _pieces(node: _Node) -> Iterator[_Node]:
         yield node
 
 
+def is_table(function: ca.Function) -> bool:
+    """Return whether a function is a table of CasADi (`interpolant`)."""
+    return "Interpolant" in function.class_name()
+
+
 def _tables(node: _Node) -> Iterator[tuple[ca.Function, SX]]:
     if node.table is not None:
         yield node.table, node.operands[0].form

@@ -1,9 +1,12 @@
 """Where functions bend: by bounds, and by samples in the cells alone that bounds leave open."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
+import cosim
 from cosim.codegen.changes import bent_parts
+from cosim.codegen.terms import terms_of
 
 CELLS = 1000
 EDGES = np.linspace(0.0, 10.0, CELLS + 1)
@@ -33,3 +36,33 @@ def test_a_bump_is_found_and_only_cells_without_bounds_are_sampled(known):
     sampled = np.concatenate(places)
     far = sampled[np.abs(sampled - PLACE) > 0.02]  # two cells
     assert np.isin(far, EDGES).all() == (known is not None)
+
+
+@pytest.mark.parametrize("kind", ["linear", "bspline"])
+def test_a_table_is_sampled_less_and_its_narrow_changes_are_found(kind):
+    knots = np.unique(np.concatenate((np.linspace(0, 10, 40), PLACE + WIDTH * np.arange(-8, 9))))
+    table = ca.interpolant("table", kind, [knots], bump(knots))
+    seen = {True: 0, False: 0}
+    found = dict[bool, list]()
+    for is_table in seen:
+
+        def values(at, is_table=is_table):
+            seen[is_table] += len(at)
+            return np.array(table(at)).ravel()
+
+        found[is_table] = bent_parts(values, None, EDGES, knots, is_table=is_table)
+    assert seen[True] < seen[False] / 10
+    few, many = (np.concatenate(edges) for edges in found.values())
+    assert few[[0, -1]] == pytest.approx(many[[0, -1]], abs=WIDTH)
+
+
+@pytest.mark.parametrize(
+    ("argument", "alone"), [(lambda s: 2 * s + 1, True), (lambda s: 5 + 4 * ca.sin(s), False)]
+)
+def test_a_table_of_a_bent_argument_may_change_between_its_knots(argument, alone):
+    knots = np.linspace(0, 10, 21)
+    table = ca.interpolant("table", "linear", [knots], np.cos(knots))
+    s = ca.MX.sym("s")
+    dae = cosim.from_casadi({"x": s, "ode": 1 + table(argument(s))}, name="way")
+    (terms,) = terms_of(dae)
+    assert terms.alone == (alone,)

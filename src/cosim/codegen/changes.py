@@ -11,7 +11,7 @@ from cosim.series.curves import graded
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
 _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
-_SAMPLES = 64  # of a cell, without bounds
+_SAMPLES, _OF_TABLE = 64, 4  # of a cell, without bounds; if a table's knots are known
 _ROUNDINGS = 64  # within which edges are one
 _PARTS = 8  # of the range of a term and of the time of a pulse, at whose ends a step ends
 _ENDS = 1e-5  # change before and after a pulse, as a share of the range
@@ -48,7 +48,14 @@ Values = Callable[[Vector], Vector]  # a function at values of its variable
 Bounds = Callable[[Vector, Vector], Vector]  # begins and widths of cells -> distances from lines
 
 
-def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vector) -> list[Vector]:
+def bent_parts(
+    values: Values,
+    bounds: Bounds | None,
+    edges: Vector,
+    knots: Vector,
+    *,
+    is_table: bool = False,
+) -> list[Vector]:
     """Return where a function bends within cells, by samples where bounds do not tell: edges.
 
     Where it leaves its value for less than rounding, there is one edge.
@@ -56,9 +63,11 @@ def bent_parts(values: Values, bounds: Bounds | None, edges: Vector, knots: Vect
     Args:
         values, bounds, edges: See `changing_parts`; bounds are None if there are none.
         knots: Values of the variable at which the function has samples of its own.
+        is_table: Whether it is a line or a cubic between these, if there are any.
     """
     changes = unseen(edges) if bounds is None else changing_parts(values, bounds, edges)
-    sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes)
+    count = _OF_TABLE if is_table and len(knots) else _SAMPLES
+    sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes, count)
     found = list(changes.pinched[:, None])
     for own in apart(sorted({*changes.parts, *sampled})):
         if np.ptp(own) > _ROUNDINGS * np.spacing(np.abs(own).max()):
@@ -142,15 +151,15 @@ def changes_between(values: Values, knots: Vector) -> Changes:
 
 
 def _sampled_changes(
-    values: Values, edges: Vector, knots: Vector, known: Changes
+    values: Values, edges: Vector, knots: Vector, known: Changes, count: int
 ) -> list[tuple[float, float]]:
     """Return where a function bends within cells as samples show, and its values at its knots.
 
-    Only the cells are sampled in which bounds do not tell.
+    Only the cells are sampled in which bounds do not tell, with a count of samples in each.
     """
     own = knots[(edges[0] < knots) & (knots < edges[-1])]
     unknown = np.unique(edges.searchsorted(known.unknown, "right") - 1)
-    shares = np.arange(_SAMPLES) / _SAMPLES
+    shares = np.arange(count) / count
     inner = (edges[unknown, None] + np.diff(edges)[unknown, None] * shares).ravel()
     at = np.unique(np.concatenate((inner, own, edges)))
     seen = values(at)

@@ -21,6 +21,7 @@ from casadi_models.dae.inner_terms import (
     in_waves,
     inner_terms,
     inner_terms_of_several,
+    is_table,
     parameters_of,
 )
 from casadi_models.dae.single_terms import in_postorder
@@ -155,7 +156,7 @@ def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
     found, unknown = list[_Change](), set[int]()
     for term in inner_terms(dae):
         knots = knots_of(term)
-        of_tables = all(_is_table(function) for function, _ in term.tables)
+        of_tables = all(is_table(function) for function, _ in term.tables)
         if term.tables and of_tables and not len(knots):
             unknown.update(term.movers)
         found += _changes(dae, term, knots, p) or _changes_in_waves(dae, term, p)
@@ -300,11 +301,7 @@ def localized_inverses(dae: Dae) -> SX:
 def _calls_table(term: SX) -> bool:
     """Return whether a term calls a table."""
     calls = (value for _, value, _ in in_postorder([term]) if value.op() == ca.OP_CALL)
-    return any(_is_table(call.which_function()) for call in calls)
-
-
-def _is_table(function: ca.Function) -> bool:
-    return "Interpolant" in function.class_name()
+    return any(is_table(call.which_function()) for call in calls)
 
 
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:

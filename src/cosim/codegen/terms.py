@@ -8,7 +8,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.inner_terms import InnerTerm, inner_terms
+from casadi_models.dae.inner_terms import InnerTerm, inner_terms, is_table
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
@@ -31,6 +31,7 @@ class Terms:
         bends: `(moving, length, p) -> bounds of how far from lines`, two of each, (n,).
         bounded: Whether these are known, (n,).
         tables: The terms that call tables.
+        alone: Whether they are nothing but a table along a line, (n,).
     """
 
     moving: int
@@ -38,6 +39,7 @@ class Terms:
     bends: ca.Function
     bounded: tuple[bool, ...]
     tables: tuple[InnerTerm, ...]
+    alone: tuple[bool, ...]
 
     def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
         """Return a term as a function of what moves."""
@@ -66,8 +68,20 @@ def terms_of(dae: Dae) -> tuple[Terms, ...]:
         bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
         tables = tuple(t for t in inner_terms(dae) if t.movers == (moving,) and t.tables)
         bounded = tuple(b is not None for b in known)
-        found.append(Terms(moving, values, bends, bounded, tables))
+        alone = tuple(_is_table_alone(term, s) for term in ca.vertsplit(terms))
+        found.append(Terms(moving, values, bends, bounded, tables, alone))
     return tuple(found)
+
+
+def _is_table_alone(term: SX, s: SX) -> bool:
+    """Return whether a term is nothing but a table of one variable along a line."""
+    call = term.dep(0) if term.is_output() else term
+    return (
+        call.is_call()
+        and call.n_dep() == 1
+        and is_table(call.which_function())
+        and ca.is_linear(call.dep(0), s)
+    )
 
 
 def _of_time(dae: Dae) -> Terms | None:

@@ -376,7 +376,9 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
     return [
         (term, own)
         for term in range(len(terms.bounded))
-        for own in bent_parts(terms.value(term, p), terms.off(term, p), edges, knots)
+        for own in bent_parts(
+            terms.value(term, p), terms.off(term, p), edges, knots, is_table=terms.alone[term]
+        )
     ]
 
 
