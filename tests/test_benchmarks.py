@@ -56,6 +56,7 @@ SHORT = [
         "b.CASES, b.REPEATS, b.CALLS = b.CASES[:1], 1, 9; b.main()",
         "crank_shaft/driven",
     ),
+    ("relations", "b.main(1)", "of 1 relations"),
     ("sensitivity", "b.ROUNDS = 1; b.main(0.1)", "central differences"),
     ("sessions", "b.main(200)", "session: save"),
     ("steps", "b.main(6)", "cosim dop853              0 (0)"),
