@@ -31,7 +31,7 @@ def value(text, t=0.5):
         ("(-t)^2", 0.25),
         ("2*t**2", 0.5),
         ("3m/s^2*t^2", 0.75),
-        ("3cm^2 + t", 0.5003),
+        ("3cm^2 + 1*t", 0.5003),
         ("3cm**2 + 2", 2.0003),
         ("2m*s^-2*t", 1.0),
         ("4kN/cm^2-2", 4e7 - 2),
@@ -117,6 +117,111 @@ def test_numbers_with_units_do_not_mix_with_variables_in_other_units(tmp_path):
             call()
     run = cosim.simulate(turned(), inputs={"rate": "5"}, stop_when="angle > 3")
     assert run.time[-1] == pytest.approx(0.6, rel=1e-6)
+
+
+UNITS = {
+    **{"phi": "rad", "omega": "rad/s", "x": "m", "r": "m", "area": "m2", "v": "m/s", "mass": "kg"},
+    **{"F": "N", "E": "J", "M": "N.m", "stiffness": "N.m/rad", "tau": "s", "rate": "1/s"},
+    **{"angle": "deg", "T": "degC", "TK": "K", "gain": "1", "own": "furlong", "slip": "%"},
+}
+SYMBOLS = {name: ca.SX.sym(name) for name in UNITS} | {"t": T}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "phi > 3m",
+        "-phi > 3m",
+        "0 < phi < 3m",
+        "t > 3m",
+        "not (phi > x) and x > 2",
+        "phi + x > 3",
+        "x/r > 3m",
+        "where(t > 1, x, phi) > 3",
+        "where(phi > 3m, 1, 0) > 0.5",
+        "max(x, phi) > 1ft",
+        "atan2(x, F) > 30deg",
+        "atan2(x, r) > 30m",
+        "sqrt(E/mass) > x",
+        "(x - r)^2 > 3cm",
+        "omega > 3Hz",
+        "M > stiffness",
+        "mass > 3lb",
+        "sin(x) > 0.5",
+        "sin(3m) > 0",
+        "exp(-x/2s) > 0.1",
+        "2^x > 3",
+        "angle > phi",
+        "sin(angle) > 0.5",
+        "T > TK",
+        "slip > x",
+    ],
+)
+def test_different_dimensions_are_rejected(text):
+    with pytest.raises(ParameterError, match=r"a test: in '.* is in .*; combine quantities of one"):
+        formula.condition("a test", text, SYMBOLS, UNITS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "phi > 45deg and omega > 30rpm",
+        "phi > 3 and x > pi",
+        "phi*180/pi > 45",
+        "x/r > phi",
+        "v/r > omega",
+        "omega*r > v",
+        "F*x > E and M > 3J and M > stiffness*phi",
+        "mass*v^2/2 + mass*9.81*x > 3J",
+        "sqrt(2*E/mass) > v and sqrt(E/mass) > 3km/h",
+        "(x*r)^0.5 > 2cm and x^2 > area and area*x^-2 > 3",
+        "atan2(x, r) > 30deg",
+        "sign(x)*F > 3N",
+        "sin(t) > 0.5*t and sin(3*x) > exp(-t/tau) and sin(2*pi*rate*t) > exp(-t/2s)",
+        "floor(t) > 2 and abs(t - 1) > 2min and 2^t > 3",
+        "gain*x > 3N and own > 3N and gain > 3deg",
+        "TK > 20degC and TK - 273.15 > 20",
+        "T > 20 and angle > 3",
+        "F/mass > 9.81m/s^2 and F/mass > 9.81",
+        "x > 3",
+        "2*phi > 3m and 2*phi + omega > 3rad/s",  # a factor without a unit may have any
+    ],
+)
+def test_what_may_be_of_one_dimension_is_accepted(text):
+    formula.condition("a test", text, SYMBOLS, UNITS)
+
+
+@pytest.mark.parametrize(
+    ("text", "accepted"),
+    [
+        ("2N/s*t", True),
+        ("5N*sin(t)", True),
+        ("5N*exp(-t/3s) - 2lbf", True),
+        ("where(t > 1s, 5N, 0)", True),
+        ("5kg*9.81m/s^2", True),
+        ("t", True),
+        ("-2*x - v", True),
+        ("-x", True),  # without units: SI numbers
+        ("3m*t", False),
+        ("2N*t", False),
+        ("where(t > 1s, 5m, 0)", False),
+        ("-x - v", False),
+    ],
+)
+def test_values_of_formulas_with_units_have_the_unit_of_their_input(text, accepted):
+    units = UNITS | {"": "N"}
+    if accepted:
+        formula.expression("a test", text, SYMBOLS, units)
+    else:
+        with pytest.raises(ParameterError, match=r"in '.* (instead of N|but v in m/s); combine"):
+            formula.expression("a test", text, SYMBOLS, units)
+
+
+def test_an_angle_cannot_reach_a_length():
+    with pytest.raises(ParameterError, match="in 'phi > 3m', phi is in rad, but 3m in m; combine"):
+        cosim.simulate("bicycle", stop_when="phi > 3m")
+    with pytest.raises(ParameterError, match=r"steer_torque: in '2m.* is m instead of N.m"):
+        cosim.simulate("bicycle", inputs={"steer_torque": "2m*sin(t)"})
 
 
 def test_name_of_time_belongs_to_time():

@@ -14,13 +14,8 @@ from casadi import SX
 
 from casadi_models.units import parse_unit
 from cosim.errors import ParameterError, UnknownName
+from cosim.model.dimensions import NUMBER_WITH_UNIT, Dimensions, operations_of, shown
 
-_POWER = r"[A-Za-z\u00b0\u03a9]+(?:\d+|(?:\^|\*\*)-?\d+)?"
-_NUMBER_WITH_UNIT = re.compile(
-    r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
-    rf"({_POWER}(?:[./*-]{_POWER})*)"
-)
-_MINUS_OF_A_NUMBER = re.compile(r"(?:^|[(,<>=*/^+-]|\b(?:and|or|not)\b)\s*-\s*$")
 _CONSTANTS = {"pi": pi, "e": e}
 _FUNCTIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
     **{
@@ -42,7 +37,7 @@ _REMEDIES = {  # by what a text that is no formula contains
     r"&&|\|\|": _LOGIC,
     r"(?<![=<>!])=(?!=)": "write <, > or, for discrete variables, == between two values",
     r"\.[*/^]": "write *, / and ^ without a point",
-    r"(?<!\w)[\d.]+\s*[A-Za-z(]": _FACTORS,
+    r"(?<![\w.'])[\d.]+\s*[A-Za-z(]": _FACTORS,
 }
 _OTHER_NAMES_OF_WHERE = ("ifelse", "if_else", "step", "heaviside")
 _OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
@@ -71,13 +66,16 @@ def expression(
         units: Of the symbols by name, and of the result by the name "".
 
     Raises:
-        ParameterError: It is no formula of numbers, names and known functions, or has numbers with
-            a unit, which become SI values, and variables in other units.
+        ParameterError: It is no formula of numbers, names and known functions, its dimensions are
+            inconsistent, or it has numbers with a unit, which become SI values, and variables in
+            other units.
         UnknownName: A name in it does not exist.
     """
-    node = _parsed(owner, text, symbols, units or {})
+    node = _parsed(owner, text, symbols)
     with _shallow(owner, text):
-        return SX(_Reader(owner, text, symbols).value(node))
+        value = SX(_Reader(owner, text, symbols).value(node))
+        Dimensions(owner, text, units or {}).check(node)
+        return value
 
 
 def condition(
@@ -89,9 +87,11 @@ def condition(
         ParameterError: It is no condition, or see `expression`.
         UnknownName: A name in it does not exist.
     """
-    node = _parsed(owner, text, symbols, units or {})
+    node = _parsed(owner, text, symbols)
     with _shallow(owner, text):
-        return SX(_Reader(owner, text, symbols).condition(node))
+        holds = SX(_Reader(owner, text, symbols).condition(node))
+        Dimensions(owner, text, units or {}).check(node)
+        return holds
 
 
 @contextmanager
@@ -105,18 +105,11 @@ def _shallow(owner: str, text: str) -> Iterator[None]:
         ) from None
 
 
-def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, str]) -> ast.expr:
+def _parsed(owner: str, text: str, names: Container[str]) -> ast.expr:
+    """Return the tree of a formula, in which numbers with a unit are texts."""
     if not isinstance(text, str):
         raise ParameterError(f"{owner}: {text!r} is no formula; give a text, e.g. '10*sin(t)'")
-    plain = _NUMBER_WITH_UNIT.sub(lambda match: _in_si(owner, match, names), text)
-    if plain != text:
-        for name in ("", *re.findall(r"[A-Za-z_]\w*", plain)):
-            unit = parse_unit(units.get(name, ""))
-            if unit is not None and not unit.is_si:
-                raise ParameterError(
-                    f"{owner}: '{text}' has numbers with units, which become SI values, but "
-                    f"{name or 'the result'} is in {units[name]}; write all numbers without units"
-                )
+    plain = NUMBER_WITH_UNIT.sub(lambda match: _quoted(owner, match, names), text)
     plain = plain.replace("^", "**")  # ^ would bind less than +
     try:
         with _shallow(owner, text):
@@ -131,17 +124,16 @@ def _parsed(owner: str, text: str, names: Container[str], units: Mapping[str, st
         ) from None
 
 
-def _in_si(owner: str, match: re.Match[str], names: Container[str]) -> str:
-    """Return a number with a unit as a product; the longest matching unit is taken.
+def _quoted(owner: str, match: re.Match[str], names: Container[str]) -> str:
+    """Return a number with a unit in quotes; the longest matching unit is taken.
 
     Raises:
         ParameterError: A part of the unit may be a name of the model, or a power not part of it.
     """
     number, unit = match[1], match[2]
     for end in range(len(unit), 0, -1):
-        found = parse_unit(unit[:end])
         rest = unit[end:]
-        if found is None or (rest and rest[0].isalnum()):
+        if parse_unit(unit[:end]) is None or (rest and rest[0].isalnum()):
             continue
         _, *factors = re.findall(r"[A-Za-z\u00b0\u03a9]+", unit[:end])
         after = (rest + match.string[match.end() :]).lstrip()
@@ -153,9 +145,7 @@ def _in_si(owner: str, match: re.Match[str], names: Container[str]) -> str:
                 "write blanks around what does not belong to the unit, and powers as 3cm^2 or "
                 "(3cm)^2"
             )
-        negative = _MINUS_OF_A_NUMBER.search(match.string[: match.start()])  # it stays in front
-        offset = f"{'-' if negative else '+'}{found.offset!r}" if found.offset else ""
-        return f"({number}*{found.factor!r}{offset}){rest}"
+        return f"'{number}{unit[:end]}'{rest}"
     return match[0]
 
 
@@ -172,6 +162,10 @@ class _Reader:
                 return float(str(number))  # of any length
             case ast.Name(id=name):
                 return self.named(name)
+            case ast.Constant(value=str()):
+                return self.in_si(node)
+            case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=str()) as operand):
+                return self.in_si(operand, -1)  # the minus belongs to the temperature
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return -self.value(operand)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
@@ -184,14 +178,19 @@ class _Reader:
 
     def chained(self, node: ast.expr) -> Any:
         """Return the value of a sum or product of any length, whose first terms lie deepest."""
-        operations: list[ast.BinOp] = []
-        while isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-            operations.append(node)
-            node = node.left
-        value = SX(self.value(node))
-        for operation in reversed(operations):
+        first, operations = operations_of(node)
+        value = SX(self.value(first))
+        for operation in operations:
             value = _OPERATORS[type(operation.op)](value, SX(self.value(operation.right)))
         return value
+
+    def in_si(self, node: ast.Constant, sign: int = 1) -> float:
+        """Return the SI value of a number with a unit."""
+        parts = NUMBER_WITH_UNIT.fullmatch(str(node.value))
+        unit = parse_unit(parts[2]) if parts else None
+        if parts is None or unit is None:
+            raise self.refusal(node)
+        return sign * float(parts[1]) * unit.factor + unit.offset
 
     def condition(self, node: ast.expr) -> Any:
         """Return whether a condition holds, 1 or 0."""
@@ -240,6 +239,6 @@ class _Reader:
             remedy = f"write {called.attr}(...) instead of {ast.unparse(called)}(...)"
             return ParameterError(f"{self.owner}: '{self.text}' is not understood; {remedy}")
         return ParameterError(
-            f"{self.owner}: '{ast.unparse(node)}' in '{self.text}' is not understood; use numbers, "
+            f"{self.owner}: '{shown(node)}' in '{self.text}' is not understood; use numbers, "
             f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"
         )
