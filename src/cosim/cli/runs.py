@@ -33,6 +33,7 @@ from cosim.coupling.values import target
 from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.archive import with_places
 from cosim.fmi.run.isolated import run_apart
+from cosim.fmi.run.request import TIME
 from cosim.fmi.run.typed_values import REALS, series_value
 from cosim.fmi.trust import is_made_here, require_trust
 from cosim.integrate.outputs import all_columns
@@ -45,7 +46,7 @@ from cosim.scene.variants import variant
 from cosim.series.samples import times_within
 from cosim.study.accuracy.choice import report
 from cosim.text import MOST_NAMES, shortened
-from cosim.trajectory import Trajectory
+from cosim.trajectory import Column, Trajectory
 
 _OF_MODELS = (
     *("backend", "solver", "absolute_tolerance", "step_size", "on_invalid", "drift_control"),
@@ -225,8 +226,18 @@ def runs_of(
 
 def model_columns(dae: Dae) -> Trajectory:
     """Return an empty run with all variables of a model."""
-    columns = all_columns(dae)
-    return Trajectory(dae.full_name, np.empty(0), columns, np.empty((0, len(columns))))
+    return _empty_run(dae.full_name, all_columns(dae))
+
+
+def fmu_columns(path: str) -> Trajectory:
+    """Return an empty run with all variables of an FMU that have a unit."""
+    variables = part_of("fmu", path).variables.items()
+    own = tuple(Column(n, v.unit) for n, v in variables if v.unit and n != TIME)
+    return _empty_run(path, own)
+
+
+def _empty_run(name: str, columns: tuple[Column, ...]) -> Trajectory:
+    return Trajectory(name, np.empty(0), columns, np.empty((0, len(columns))))
 
 
 def single(args: argparse.Namespace, source: str) -> Iterator[argparse.Namespace]:

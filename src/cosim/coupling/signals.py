@@ -7,7 +7,7 @@ from typing import Any
 
 from casadi_models.dae import Dae, Model
 from casadi_models.dae.coupled import Connection
-from casadi_models.units import parse_unit
+from casadi_models.units import Unit, parse_unit
 from cosim.arrays import Vector
 from cosim.coupling.connectors import Connector, End
 from cosim.coupling.part import Part, Variable, free_name, part_of
@@ -15,7 +15,7 @@ from cosim.coupling.values import target
 from cosim.errors import UsageError
 from cosim.fmi.run.typed_values import is_continuous, series_value
 from cosim.integrate.keywords import requested
-from cosim.model.driving import driven, with_held, with_tables
+from cosim.model.driving import constant_of, driven, with_held, with_tables
 from cosim.model.inputs import InputSeries
 from cosim.model.quantities import quantity
 from cosim.model.values import number
@@ -69,7 +69,7 @@ class Signals:
         laws, wires = dict[str, Any](), list[Connection]()
         held = dict[str, Callable[[Any], float]]()
         for text, law in inputs.items():
-            unit, ends = _driven(owner, parts, connectors, text)
+            unit, units, ends = _driven(owner, parts, connectors, text)
             switched = [
                 (end, variable)
                 for end in ends
@@ -79,7 +79,8 @@ class Signals:
                 held[text] = partial(_number_for, owner, switched)
             symbol = model.input(f"u{len(laws)}", unit, 0.0, text)
             model.output(f"y{len(laws)}", unit, symbol, text)
-            laws[text] = law
+            constant = None if switched else constant_of(text, law, unit, units)
+            laws[text] = law if constant is None else constant
             source = name, f"{text}_signal"
             wires += [Connection(end.variable, source, end.factor, end.offset) for end in ends]
         dae = model.freeze()  # whose names are no identifiers, but those of messages
@@ -103,14 +104,14 @@ class Signals:
 
 def _driven(
     owner: str, parts: Mapping[str, Part], connectors: Mapping[str, Connector], name: str
-) -> tuple[str, tuple[End, ...]]:
-    """Return the unit of an input of a system or of a part, and what it sets."""
-    _, ends, unit, _ = target(parts, connectors, name)
+) -> tuple[str, Mapping[str, Unit], tuple[End, ...]]:
+    """Return the unit of an input of a system or of a part, units of its file, and what it sets."""
+    _, ends, unit, units = target(parts, connectors, name)
     for part, own in (end.variable for end in ends):
         variable = parts[part].variable(own)
         if not variable.is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
-    return unit if unit and parse_unit(unit) else "1", ends
+    return unit if unit and parse_unit(unit) else "1", units, ends
 
 
 def _number_for(owner: str, ends: Sequence[tuple[End, Variable]], value: object) -> float:

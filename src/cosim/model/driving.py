@@ -15,6 +15,7 @@ from casadi import SX
 from casadi_models.dae import Dae, Model, Variable
 from casadi_models.dae.starts import reject_disorder
 from casadi_models.dae.variables import is_name
+from casadi_models.units import Unit
 from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
@@ -74,8 +75,8 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
         own |= numbers.keys()
         if twice := {n for n, v in numbers.items() if constants.setdefault(n, v) != v}:
             raise UsageError(f"{dae.full_name}: {min(twice)} has two values; give it one")
-        if isinstance(value, str) and _is_quantity(value):
-            constants[name] = quantity(name, value, known[name].unit)
+        if (constant := constant_of(name, value, known[name].unit)) is not None:
+            constants[name] = constant
         elif isinstance(value, Real):
             constants[name] = number(dae.full_name, name, value)
         elif isinstance(value, InputSeries):
@@ -138,7 +139,7 @@ def with_held(
 
 
 def followed(
-    owner: str, inputs: Any, times: Vector, units: Mapping[str, str | None]
+    owner: str, inputs: Any, times: Vector, units: Mapping[str, tuple[str, Mapping[str, Unit]]]
 ) -> InputSeries | None:
     """Return the inputs of an FMU, whose equations cannot be changed.
 
@@ -148,7 +149,7 @@ def followed(
         inputs: An `InputSeries`; or by name a number, a formula or a function of time, samples at
             the output times (n,), or an `InputSeries` with that input.
         times: Output times, s, (n,).
-        units: Of the inputs by name.
+        units: By the name of an input: its unit, and the units in which a value may be written.
 
     Raises:
         UnknownName, ParameterError, UsageError: See `driven`.
@@ -158,9 +159,10 @@ def followed(
     laws, pieces = dict[str, Callable[[Vector], Vector]](), list[InputSeries]()
     ends = times[[0, -1]] if len(times) > 1 else times[0] + np.array([0.0, 1.0])
     for name, value, numbers in _by_name(owner, inputs):
-        unit = units.get(name) or "1"
-        if isinstance(value, str) and _is_quantity(value):
-            value = quantity(name, value, unit)
+        UnknownName.reject(owner, "input", units, name)
+        unit, definitions = units[name]
+        if (constant := constant_of(name, value, unit, definitions)) is not None:
+            value = constant
         if isinstance(value, InputSeries):
             pieces.append(_column(name, value))
         elif isinstance(value, Real):
@@ -234,8 +236,8 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str,
         place = known.index(name)
         if not isinstance(law, str):
             rows[place] = _symbolic(dae, law)
-        elif _is_quantity(law):
-            rows[place] = SX(quantity(name, law, dae.inputs[place].unit))
+        elif (constant := constant_of(name, law, dae.inputs[place].unit)) is not None:
+            rows[place] = SX(constant)
         else:
             units = {v.name: v.unit for v in dae.variables} | {"": dae.inputs[place].unit}
             rows[place] = expression(f"{dae.full_name}: {name}", law, names_of(dae), units)
@@ -271,12 +273,22 @@ def names_of(dae: Dae) -> dict[str, SX]:
     return time | symbols
 
 
-def _is_quantity(text: str) -> bool:
+def constant_of(
+    name: str, value: Any, unit: str, definitions: Mapping[str, Unit] | None = None
+) -> float | None:
+    """Return the number of a text such as `2 N*m`; None for a formula, and what is no text.
+
+    Raises:
+        ParameterError: Its unit does not fit; see `quantity`.
+    """
+    if not isinstance(value, str):
+        return None
     try:
-        quantity("", text, "1")
+        quantity(name, value, "1", definitions=definitions)
     except ParameterError as error:
-        return "cannot be converted" in str(error)
-    return True
+        if "cannot be converted" not in str(error):
+            return None
+    return quantity(name, value, unit, definitions=definitions)
 
 
 def _is_symbolic(dae: Dae, law: Callable[[Any], Any], grid: Vector) -> bool:

@@ -303,7 +303,7 @@ def read_inputs(
             raise UnknownName.among(f"{path}: {dae.full_name}", "input", column.name, known)
         if names.count(column.name) > 1:
             raise UsageError(f"{path}: '{column.name}' occurs twice; give each input once")
-        if not dae and column.unit != "1":
+        if not dae and (column.unit, column.display_unit) != ("1", None):
             raise UsageError(f"{path}: {column.name} has the unit of the FMU; leave the unit out")
     if len(times) < 2:
         raise UsageError(

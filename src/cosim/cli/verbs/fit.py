@@ -16,7 +16,7 @@ from cosim.cli.arguments import (
     value_of,
     with_values,
 )
-from cosim.cli.runs import model_columns, read_measured
+from cosim.cli.runs import fmu_columns, model_columns, read_measured
 from cosim.cli.tables import note, show_table
 from cosim.errors import UsageError
 from cosim.fmi.run.isolated import run_apart
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         if args.solver:
             raise UsageError("--solver is for models; an FMU has its own")
         require_trust(args.model, trusted=args.trust)
-        start = start_numbers(args, dae)
+        start, like = start_numbers(args, dae), fmu_columns(args.model)
     else:
         scene = named_scene(args.model)
         request = with_values(args, scene.request)

@@ -20,7 +20,7 @@ from cosim.fmi.run.typed_values import (
     start_number,
     typed_value,
 )
-from cosim.fmi.units import display_of
+from cosim.fmi.units import display_of, units_for
 from cosim.model.driving import followed, with_held
 from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
@@ -105,18 +105,19 @@ class FmuRequest:
         )
         variables = by_name(description)
         recorded = tuple(variables[output] for output in output_names(name, variables, outputs))
+        driven = {n: v for n, v in variables.items() if v.causality == "input"}
         series = None
         if inputs is not None:
-            units = {name: unit_of(variable) for name, variable in variables.items()}
+            units = {n: (unit_of(v) or "1", units_for(v, description)) for n, v in driven.items()}
             held = {
                 n: partial(series_value, str(name), v)
-                for n, v in variables.items()
-                if v.causality == "input" and not is_continuous(v)
+                for n, v in driven.items()
+                if not is_continuous(v)
             }
             times = time_grid(start, stop, interval)
             series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
         if series is not None:
-            _check_series(name, variables, series, values)
+            _check_series(name, driven, series, values)
         request = cls(
             description, interface, values, start, stop, interval, recorded, series, tolerance
         )
@@ -350,10 +351,9 @@ def output_names(
 
 
 def _check_series(
-    name: object, variables: Mapping[str, Any], series: InputSeries, values: Mapping[str, float]
+    name: object, known: Mapping[str, Any], series: InputSeries, values: Mapping[str, float]
 ) -> None:
-    """Reject a series for a variable that is no input or has a constant value as well."""
-    known = {n: v for n, v in variables.items() if v.causality == "input"}
+    """Reject a series for a variable that is no known input or has a constant value as well."""
     for variable in series.names:
         UnknownName.reject(str(name), "input", known, variable)
         if not is_number(known[variable]):

@@ -122,17 +122,22 @@ def series_value(owner: str, variable: Any, value: object) -> float:
     return float(found)
 
 
+def bounds_of(variable: Any) -> list[str | None]:
+    """Return the bounds of a variable or of its type, as texts."""
+    places = variable, getattr(variable, "declaredType", None)
+    return [
+        next((bound for one in places if (bound := getattr(one, end, None))), None)
+        for end in ("min", "max")
+    ]
+
+
 def reject_beyond_bounds(variable: Any, value: Any) -> None:
     """Reject a number that the bounds in a file exclude, where its FMU has accepted it.
 
     Raises:
         FmuError: The number is out of its bounds.
     """
-    places = variable, getattr(variable, "declaredType", None)
-    low, high = (
-        next((bound for one in places if (bound := getattr(one, end, None))), None)
-        for end in ("min", "max")
-    )
+    low, high = bounds_of(variable)
     if isinstance(value, str | bool) or variable.type == "Enumeration":
         return
     if (low and value < float(low)) or (high and value > float(high)):

@@ -14,6 +14,7 @@ from cosim.fmi.run.description import by_name
 from cosim.fmi.run.opened import still_open
 from cosim.fmi.run.request import column_of
 from cosim.fmi.run.simulate import simulate_fmu
+from cosim.fmi.run.typed_values import bounds_of
 from cosim.integrate.keywords import requested
 from cosim.integrate.run import run
 from cosim.model.catalogue import loaded
@@ -118,7 +119,7 @@ class FmuSubject:
         variable = self._variable(name)
         low, high = (
             other if text is None else float(text)
-            for text, other in ((variable.min, -np.inf), (variable.max, np.inf))
+            for text, other in zip(bounds_of(variable), (-np.inf, np.inf), strict=True)
         )
         return Known(self.column(name), float(variable.start or 0.0), low, high)
 

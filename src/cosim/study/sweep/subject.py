@@ -12,7 +12,7 @@ from casadi_models.dae import Dae
 from cosim.arrays import Vector
 from cosim.codegen.runge_kutta.lane_library import lane_library, processor_lanes
 from cosim.errors import FmuError, UsageError
-from cosim.fmi.run.description import by_name
+from cosim.fmi.run.description import by_name, unit_of
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.opened import OpenedFmu
 from cosim.fmi.trust import is_made_here
@@ -175,7 +175,7 @@ class FmuSubject:
 
     def unit(self, name: str) -> str:
         """Return the unit of the numbers of a quantity; "1" if the FMU has none."""
-        return str(by_name(self._fmu.description)[name].unit or "1")
+        return unit_of(by_name(self._fmu.description)[name]) or "1"
 
     def prepare(self, names: Sequence[str], settings: Mapping[str, Any]) -> str:
         """Check the varied names and the settings; return the method of the runs as text."""
