@@ -127,10 +127,15 @@ class ExportError(CosimError):
 
 
 class FmuError(CosimError):
-    """An FMU that cannot be read or run; its own message is shown as one escaped line."""
+    """An FMU that cannot be read or run; its own message is shown as one escaped line.
 
-    def __init__(self, message: object) -> None:
+    Attributes:
+        partial: Every output of a run that was ended, a `Trajectory`; None if there is nothing.
+    """
+
+    def __init__(self, message: object, partial: Any = None) -> None:
         super().__init__(visible(" ".join(str(message).splitlines())))
+        self.partial = partial
 
 
 class SecurityError(FmuError):

@@ -30,7 +30,7 @@ from cosim.coupling.files import coupling_report, is_system, read_system, simula
 from cosim.coupling.part import part_of
 from cosim.coupling.system import System
 from cosim.coupling.values import target
-from cosim.errors import Interrupted, ParameterError, SolverError, UsageError
+from cosim.errors import FmuError, Interrupted, ParameterError, SolverError, UsageError
 from cosim.fmi.archive import with_places
 from cosim.fmi.run.isolated import run_apart
 from cosim.fmi.run.request import TIME
@@ -92,7 +92,7 @@ def run_or_partial(args: argparse.Namespace, scene: Scene | None) -> tuple[Traje
             run = run_scene(scene, Backend.NATIVE if args.backend is None else args.backend)
         else:
             run = _co_simulation(args) if is_system(args.model) else _fmu_run(args)
-    except (SolverError, Interrupted) as error:
+    except (SolverError, FmuError, Interrupted) as error:
         if not isinstance(error.partial, Trajectory) or not len(error.partial):
             raise
         if isinstance(error, Interrupted):

@@ -25,13 +25,18 @@ def calls_noted_in(folder: Path) -> Iterator[None]:
         _FOLDER.reset(token)
 
 
+def noted_in() -> Path | None:
+    """Return the folder of `calls_noted_in`; None elsewhere."""
+    return _FOLDER.get()
+
+
 @contextmanager
 def noted_calls(names: Sequence[str]) -> Iterator[ctypes.c_longlong]:
     """Yield a number that whoever calls a part sets to its place among the names; -1 for none.
 
     It is shared with the parent within `calls_noted_in`, and an ordinary number elsewhere.
     """
-    folder = _FOLDER.get()
+    folder = noted_in()
     if folder is None:
         yield ctypes.c_longlong(-1)
         return

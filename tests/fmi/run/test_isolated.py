@@ -25,11 +25,13 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks at processes in /proc")
 
 # What the FMU does in a communication step of this length
-BAD_STEPS = {"crash": 0.5, "hang": 0.25, "exit": 0.125, "shout": 0.0625}
+BAD_STEPS = {"crash": 0.5, "hang": 0.25, "exit": 0.125, "shout": 0.0625, "late": 0.03125}
 BEHAVIOR = """
     if (length == 0.5) abort();
     if (length == 0.25) for (volatile int i = 0;; i = 1) {}
     if (length == 0.125) exit(7);
+    static int steps = 0;
+    if (length == 0.03125 && ++steps > 3) for (volatile int i = 0;; i = 1) {}
     if (length == 0.0625) for (int i = 0; i < 100000; i++) puts("here I am");
 """
 
@@ -73,6 +75,23 @@ def test_a_hang_ends_at_the_time_limit(bad):
     assert time.monotonic() - began < 20  # s; measured 3 on a busy machine
     assert done.returncode == 1
     assert done.stderr == f"FmuError: {bad}: the FMU did not end within 2 s and was stopped\n"
+
+
+@pytest.mark.slow
+def test_rows_before_a_time_limit_are_kept(bad, tmp_path):
+    with pytest.raises(FmuError, match="did not end within 2 s") as raised:
+        run_apart(bad, output_interval=BAD_STEPS["late"], stop_time=1, timeout=2)
+    kept = raised.value.partial
+    assert kept.status == "the FMU did not end within 2 s and was stopped"
+    whole = cosim.simulate_fmu(bad, output_interval=0.015625, stop_time=1)
+    np.testing.assert_array_equal(kept.time, [0.0, 0.03125, 0.0625, 0.09375])
+    assert kept.names == whole.names
+    for name in kept.names:
+        np.testing.assert_allclose(kept[name], whole[name][:7:2], rtol=1e-5)  # measured 3e-7
+    file = tmp_path / "kept.csv"
+    done = simulate(bad, "late", "--timeout", "2", "-o", file)
+    assert done.returncode == 1
+    assert len(cosim.Trajectory.read_csv(file)) == 4
 
 
 @pytest.mark.slow

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim import errors
-from cosim.errors import CosimError, FmuError
+from cosim.errors import CosimError, FmuError, Interrupted
+from cosim.fmi.run.kept_rows import kept_run
 from cosim.fmi.run.simulate import simulate_fmu
 from cosim.host.child import be_confined, leave, own_folder, run_confined
 from cosim.host.last_call import calls_noted_in, last_called
@@ -64,13 +65,16 @@ def run_apart(
         except KeyboardInterrupt:
             if part := last_called(folder):
                 print(f"{path}: part '{part}' was being called", file=sys.stderr)
+            if kept := kept_run(folder, "interrupted"):
+                raise Interrupted(f"{path}: {kept.status}", kept) from None
             raise
         if sys.stderr is not None:
             sys.stderr.write(printed)
         part = last_called(folder)
         what = f"part '{part}'" if part else "the FMU"
         if code is None:
-            raise FmuError(f"{path}: {what} did not end within {limit:g} s and was stopped")
+            why = f"{what} did not end within {limit:g} s and was stopped"
+            raise FmuError(f"{path}: {why}", kept_run(folder, why))
         try:
             answer = _Answer(*pickle.loads((folder / _ANSWER).read_bytes()))
         except _BROKEN as error:

@@ -31,6 +31,7 @@ from cosim.fmi.run.instance import (
     invalidity,
     why_it_ended,
 )
+from cosim.fmi.run.kept_rows import new_rows
 from cosim.fmi.run.python_master import Clock, run_in_python
 from cosim.fmi.run.request import FmuRequest, MasterRun, lost_state
 from cosim.fmi.trust import is_made_here
@@ -269,7 +270,7 @@ def _run_compiled(instance: Any, request: FmuRequest, calls: Calls) -> MasterRun
     sizes = description.numberOfContinuousStates, description.numberOfEventIndicators
     library = _library(*sizes) if exchange else _library()
     initialize(instance, description, request.values, **request.experiment)
-    rows = np.empty((len(points), len(request.recorded)))
+    rows = new_rows(request)
     recording = calls.recording(request.recorded, rows)
     facts: dict[str, Any] = {
         "recording": ctypes.pointer(recording),

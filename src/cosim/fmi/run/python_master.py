@@ -27,6 +27,7 @@ from cosim.fmi.run.instance import (
     initialize,
     update_discrete_states,
 )
+from cosim.fmi.run.kept_rows import new_rows
 from cosim.fmi.run.request import FmuRequest, MasterRun, nominals_of
 from cosim.fmi.run.typed_values import REALS, is_continuous
 from cosim.host.progress import doing
@@ -69,7 +70,7 @@ class _Recorder:
     def __init__(self, instance: Any, request: FmuRequest) -> None:
         self._get = access_to(request.recorded, instance, request.description).get
         self.times = np.empty(len(request.points))
-        self.rows = np.empty((len(request.points), len(request.recorded)))
+        self.rows = new_rows(request)
         self._count = 0
 
     def record(self, time: float) -> None:
