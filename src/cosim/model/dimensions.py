@@ -39,19 +39,24 @@ class Dimensions:
     Attributes:
         owner, text: For messages.
         units: Of the variables by name, and of the formula's value by the name "".
+        with_units: Whether a number in the formula has a unit; else a law such as -phi - phi_dot,
+            whose gains are 1, is none of different dimensions.
     """
 
     def __init__(self, owner: str, text: str, units: Mapping[str, str]) -> None:
         self.owner, self.text, self.units = owner, text, _TIME | dict(units)
+        self.with_units = False
 
     def check(self, tree: ast.expr) -> None:
-        """Check a formula; if no number in it has a unit, its value may have any.
+        """Check a formula.
 
         Raises:
-            ParameterError: Terms that are added or compared differ in dimension, an exponent or an
-                argument of a function has one, or numbers with units meet variables in others.
+            ParameterError: What is compared or chosen from differs in dimension; or, if a number
+                has a unit, terms of a sum do, an exponent, an argument of a function or the result
+                has another, or a variable is not in SI units.
         """
         names, with_units = _parts(tree)
+        self.with_units = with_units
         for name in ("", *names) if with_units else ():
             unit = parse_unit(self.units.get(name, ""))
             if unit is not None and not unit.is_si:
@@ -92,7 +97,7 @@ class Dimensions:
         for operation in operations:
             right = operation.right
             if isinstance(operation.op, ast.Add | ast.Sub):
-                found = self.joined(operation.left, found, right, self.of(right))
+                found = self.added(operation.left, found, right, self.of(right))
             elif isinstance(operation.op, ast.Pow):
                 self.reject_dimension(right)
                 found = _power(found, right)
@@ -126,6 +131,10 @@ class Dimensions:
             first, found = (first if found else other), both
         return found
 
+    def added(self, left: ast.expr, one: Dimension, right: ast.expr, other: Dimension) -> Dimension:
+        """Return the dimension of a sum; None if it may be one of numbers."""
+        return self.joined(left, one, right, other) if self.with_units or _fit(one, other) else None
+
     def joined(
         self, left: ast.expr, one: Dimension, right: ast.expr, other: Dimension
     ) -> Dimension:
@@ -140,7 +149,8 @@ class Dimensions:
         """Reject what has a dimension as an exponent or argument; time alone is a number there."""
         found = self.of(node)
         names, with_units = _parts(node)
-        if (with_units or names - _TIME.keys()) and not _fit(found, _RATIO):
+        is_time = not with_units and not names - _TIME.keys()
+        if self.with_units and not is_time and not _fit(found, _RATIO):
             raise self.refusal(
                 f"{shown(node)} is in {_unit(found)}, but must be a number or an angle in rad"
             )
