@@ -190,6 +190,12 @@ class Dae:
         return ca.vertcat(SX(0, 1), *(margin for margin, _ in self.limits))
 
     @property
+    def driving_outputs(self) -> SX:
+        """The outputs that drive other models, (n, 1)."""
+        pairs = zip(self.output_variables, ca.vertsplit(self.outputs), strict=True)
+        return ca.vertcat(SX(0, 1), *(value for v, value in pairs if v.name in self.driving))
+
+    @property
     def constraint_condition(self) -> SX | None:
         """Condition number of the constraints; None if the model does not declare it."""
         known = [*self.monitors]

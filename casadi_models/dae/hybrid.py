@@ -64,7 +64,7 @@ class Hybrid:
     @cached_property
     def in_laws(self) -> tuple[bool, ...]:
         """For each relation, whether dx/dt, an algebraic equation or another model feels it."""
-        laws = ca.vertcat(self.dae.ode, self.dae.alg, _driving(self.dae))
+        laws = ca.vertcat(self.dae.ode, self.dae.alg, self.dae.driving_outputs)
         return tuple(ca.depends_on(laws, mode) for mode in ca.vertsplit(self.modes))
 
     @cached_property
@@ -431,12 +431,6 @@ def input_rates(dae: Dae) -> dict[str, int]:
     return {v.of: i for i, v in enumerate(dae.inputs) if isinstance(v, InputRate)}
 
 
-def _driving(dae: Dae) -> SX:
-    """Return the outputs that drive other models, (n, 1)."""
-    names = enumerate(v.name for v in dae.output_variables)
-    return ca.vertcat(SX(0, 1), *(dae.outputs[i] for i, name in names if name in dae.driving))
-
-
 def hybrid(dae: Dae) -> Hybrid | None:
     """Return the equations of a model with every relation frozen at a mode; None without events.
 
@@ -446,7 +440,7 @@ def hybrid(dae: Dae) -> Hybrid | None:
     Raises:
         ValueError: The equations call several functions of equal sizes.
     """
-    driving = _driving(dae)
+    driving = dae.driving_outputs
     if operations(ca.vertcat(dae.ode, dae.alg, driving)).isdisjoint(RELATIONS) and not dae.events:
         return None
     conditions = ca.vertcat(SX(0, 1), *(event.condition for event in dae.events))

@@ -45,9 +45,9 @@ class _Node(NamedTuple):
 def single_terms(dae: Dae) -> dict[int, SX]:
     """Return the terms that depend on time or a single state, and may rest and change on its way.
 
-    These are the largest such subexpressions of dx/dt and of the algebraic equations, except that
-    a sum is split into its terms, also one within another term. Tables and other functions that
-    are called count as terms.
+    These are the largest such subexpressions of dx/dt, of the algebraic equations and of outputs
+    that drive other models, except that a sum is split into its terms, also one within another
+    term. Tables and other functions that are called count as terms.
 
     Returns:
         Expressions of a state and `dae.p` by the position of the state, (n, 1) each; those of
@@ -138,7 +138,7 @@ def _nodes(dae: Dae) -> Iterator[tuple[_Node, list[_Node]]]:
 
 
 def _roots(dae: Dae) -> list[SX]:
-    laws = ca.vertcat(dae.ode, dae.alg)
+    laws = ca.vertcat(dae.ode, dae.alg, dae.driving_outputs)
     return [*ca.vertsplit(laws), *(margin for margin, _ in dae.limits)]
 
 

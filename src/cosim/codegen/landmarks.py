@@ -122,7 +122,7 @@ def landmarks(dae: Dae) -> Landmarks:
         if needed:
             moving.append(name)
         is_whole = all(change.is_whole for change in needed)
-        if movers == (len(dae.states),):
+        if movers == (len(dae.states),) and not ca.depends_on(dae.driving_outputs, dae.t):
             fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
             needed = [change for change in needed if change not in fixed]
             for change in fixed:
