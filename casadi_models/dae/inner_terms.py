@@ -114,6 +114,8 @@ def in_waves(dae: Dae, term: InnerTerm) -> Iterator[InnerTerm]:
 def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[InnerTerm]:
     nodes = list(in_postorder([term]))
     if any(value.op() == ca.OP_CALL for _, value, _ in nodes):
+        if len(places) == 1:
+            yield from _inner(dae, places, movers, term)
         return
     for quantity, value, _ in nodes[:-1]:
         if not (value.n_dep() and all(ca.which_depends(value, movers, 1, False))):

@@ -312,6 +312,9 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     where it moves passes the end of one of them. A slope, which ends at another value than it
     begins, has none.
     """
+    tables = [(term, knots) for term in several.alone if len(knots := knots_of(term))]
+    if tables:
+        return [change for own in tables for change in _changes(dae, *own, p)]
     each = (_changes(dae, term, np.empty(0), p) for term in several.alone)
     found = next(filter(None, each), list[_Change]())
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)

@@ -466,3 +466,15 @@ def test_an_export_names_what_an_importer_may_step_over(tmp_path):
     laws = {"t": t, "x": y, "ode": ca.exp(-(((t - 5.3) / 1e-17) ** 2))}
     with pytest.warns(UserWarning, match="terms of time change in places"):  # before: none
         cosim.export_fmu(cosim.from_casadi(laws, name="brief", stop_time=7), tmp_path / "y.fmu")
+
+
+def test_the_places_of_a_table_of_an_input_are_named(tmp_path):
+    u, v = ca.MX.sym("u"), ca.MX.sym("v")
+    knots = [-20, PLACE - WIDTH, PLACE, PLACE + WIDTH, 99]
+    road = ca.interpolant("road", "linear", [knots], [0, 0, 1 / WIDTH, 0, 0])
+    dae = cosim.from_casadi({"x": v, "u": u, "ode": road(u)}, name="table")
+    assert landmarks(dae).moving == ("u",)
+    path = cosim.export_fmu(dae, tmp_path / "table.fmu")  # before: with a warning
+    for interface in INTERFACES:
+        run = cosim.simulate_fmu(path, stop_time=70, inputs={"u": "t"}, interface=interface)
+        assert run.final["v"] == pytest.approx(1, abs=1e-6)  # before, in model exchange: 0
