@@ -139,12 +139,15 @@ static inline long long pieces_of(const Coupling *self, const Part *part, double
     return 1 + (long long)fmin(change / sqrt(system->tolerance), MOST_PIECES);
 }
 
-/* An event of a part that does not end the macro step. */
+/* An event of a part that does not end the macro step: what its outputs do there, no later point
+ * tells. */
 static inline int part_passes_event(Coupling *self, Part *part) {
     if (part_enter_event_mode(&self->fmu, part)) return PART_FAILED;
     const int how = part_update(&self->fmu, part);
     if (how != STEPPED) return how;
-    return part_enter_step_mode(&self->fmu, part) ? PART_FAILED : STEPPED;
+    if (part_enter_step_mode(&self->fmu, part)) return PART_FAILED;
+    const int alone = self->system->method < EXTRAPOLATED;
+    return alone && compare_with_cubics(self, part, 0) ? PART_FAILED : STEPPED;
 }
 
 /* Step a part with one polynomial per input, by way of its events. */

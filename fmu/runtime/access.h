@@ -8,6 +8,7 @@
 #include "constants.h"
 #include "evaluation.h"
 #include "events.h"
+#include "leaps.h"
 #include "logging.h"
 #if HAS_LOOKS
 #include "looks.h"
@@ -225,6 +226,7 @@ static Status enter_continuous_time(Instance *self) {
 #if HAS_LOOKS
     forget_looks(self);
 #endif
+    note_inputs(self, false);
     begin_watching(self);
 #if BOUNDED_LIMITS > 0
     note_look(self);

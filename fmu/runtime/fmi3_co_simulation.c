@@ -43,6 +43,7 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
     if (self->host.ask_inputs) forget_motion(self);
     leave_instant(self);
     keep_algebraics(self);
+    note_inputs(self, false);
     self->state.mode = STEP_MODE;
     return fmi3OK;
 }

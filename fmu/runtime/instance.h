@@ -25,6 +25,9 @@ static void reset(Instance *self) {
     self->state.interface = interface;
     self->state.mode = INSTANTIATED;
     self->state.stale = EVERYTHING;
+#if HAS_EVENTS
+    memset(self->leapt, 0, sizeof self->leapt);
+#endif
     renew_constants(self);
 }
 

@@ -15,6 +15,7 @@
 
 #include "cubic.h"
 #include "evaluation.h"
+#include "leaps.h"
 #include "midway.h"
 
 typedef struct {
@@ -81,9 +82,10 @@ static void warn_of_passing(Instance *self) {
 static bool note_look(Instance *self) {
     const double *values = self->state.values, now = values[TIME];
     Looks *looks = &self->state.looks;
-    if (!has_derivatives(self)) return false;
     const bool again = looks->count > 0 && now == looks->last.time &&
                        memcmp(looks->last.x, values + FIRST_STATE, NX * sizeof *values) == 0;
+    note_inputs(self, again);
+    if (!has_derivatives(self)) return false;
     if (looks->count > 0 && now > looks->last.time) {
         warn_of_passing(self);
         warn_of_limits(self);

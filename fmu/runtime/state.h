@@ -102,6 +102,14 @@ typedef struct {
 } Looks;
 #endif
 
+#if HAS_LEAPS
+/* The inputs before the last two leaps; all of it doubles. */
+typedef struct {
+    double count; /* how many are known */
+    double u[2][NU - MODES];
+} Leaps;
+#endif
+
 /* All that is needed to continue a run: what the FMI calls the FMU state. No pointer, no padding;
    equal bytes here give equal results ever after. */
 typedef struct {
@@ -122,6 +130,9 @@ typedef struct {
 #endif
 #if HAS_LOOKS
     Looks looks;
+#endif
+#if HAS_LEAPS
+    Leaps leaps;
 #endif
     double widest[ROOM(N_LIMITS)];  /* margin of each limit so far: what it is measured by */
     double left[ROOM(N_LIMITS)];    /* last communication step outside each limit, from 1 on */
@@ -182,7 +193,8 @@ struct Instance {
 #endif
 #if HAS_EVENTS
     LawOwner laws;
-    double sizes[ROOM(NX)]; /* of the states */
+    double sizes[ROOM(NX)];  /* of the states */
+    bool leapt[ROOM(MODES)]; /* a leap of inputs over it has been logged */
 #endif
 };
 

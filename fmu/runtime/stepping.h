@@ -47,6 +47,7 @@ static Status do_step(Instance *self, double from, double length) {
     self->state.stale &= ~(uint32_t)SIDES;
     self->state.steps++;
     const bool asks = self->host.ask_inputs != NULL;
+    note_inputs(self, true);
     self->stepping = true;
     const bool done = (!asks || ask_for_motion(self, end)) && integrate_to(self, end);
     /* modes that slide follow from it, also at the end */
@@ -56,6 +57,7 @@ static Status do_step(Instance *self, double from, double length) {
     self->state.motion_spent = true;
     self->state.step_status = done ? OK : DISCARD;
     keep_algebraics(self);
+    note_inputs(self, false);
     if (done) note_limits(self);
     self->stepping = false;
     if (done) return OK;

@@ -35,6 +35,7 @@
 #define ORDER_OF_STEPS 0
 #endif
 #define HAS_LOOKS (N_WATCHED > 0 || BOUNDED_LIMITS > 0) /* of importers of model exchange */
+#define HAS_LEAPS (N_WATCHED > 0 && NU > MODES)         /* of inputs that relations may depend on */
 #if HAS_EVENTS
 #include "laws.h"
 #endif

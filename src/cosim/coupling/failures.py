@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.coupling.open_system import Rows
+from cosim.coupling.settings import Method
 from cosim.coupling.wiring import Wiring
 from cosim.errors import FmuError, SolverError
 from cosim.fmi.run.c_structures import Ending
@@ -128,6 +129,8 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
     fixed = [name for name, part in wiring.parts.items() if not part.rolls_back]
     if fixed and not system.macro_step:
         notes.append(f"{', '.join(fixed)} cannot restore a state: no macro step could be rejected")
+    held = system.method < list(Method).index(Method.EXTRAPOLATED)
+    notes += leaps(wiring, [n for n, part in wiring.parts.items() if held or part.holds_inputs])
     if system.quantum and system.forced:
         long = ", ".join(n for n, p in wiring.parts.items() if p.internal_step or not p.any_step)
         notes.append(
@@ -138,6 +141,19 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
             step = f"its only step, {part.only_step:g} s"
             notes.append(f"{name} holds its inputs within {step}: no estimate has what this causes")
     return notes
+
+
+def leaps(wiring: Wiring, parts: Collection[str]) -> Iterator[str]:
+    """Yield notes on continuous inputs of parts whose values jump over a short change of these."""
+    moving = {own for own, held in zip(wiring.inputs, wiring.held, strict=False) if not held}
+    for name in parts:
+        for inputs, (time, place) in wiring.parts[name].instance.leaps.items():
+            if any((name, one) in moving for one in inputs.split(", ")):
+                yield (
+                    f"part '{name}': at {time} s, {inputs} jumps over a short change of the "
+                    f"equations ({place}), as it is constant within steps; give a shorter "
+                    "macro_step, another method, or accuracy"
+                )
 
 
 def violations(wiring: Wiring) -> Iterator[Violation]:

@@ -33,6 +33,7 @@ _MOST_UPDATES = 1000  # of discrete states at one instant
 _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
 _SLIDES = re.compile(r": from \S+ s on, '(.+)' stays 0 by (.+)$")
+_LEAPS = re.compile(r": at (\S+) s, (.+) jumps over a short change of the equations \('(.+)'\)")
 _LEFT = re.compile(r": invalid from (\S+) s: (.+)$")  # of these, too
 _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "getContinuousStateDerivatives": "getDerivatives",
@@ -140,7 +141,7 @@ def instantiated(
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
     log, events, violations = list[str](), list[tuple[float, str]](), Violations()
-    sliding = dict[str, list[str]]()
+    sliding, leaps = dict[str, list[str]](), dict[str, tuple[str, str]]()
 
     def collect(*arguments: Any) -> None:
         """Keep the message, the last argument in every version of the FMI, unless all is well."""
@@ -150,6 +151,8 @@ def instantiated(
             log.append(words)
             if left := _LEFT.search(words):
                 violations.note(Violation(float(left[1]), left[2]))
+            elif leap := _LEAPS.search(words):
+                leaps.setdefault(leap[2], (leap[1], leap[3]))
         elif event := _EVENT.search(words):
             events.append((float(event[1]), event[2]))
         elif slides := _SLIDES.search(words):
@@ -176,7 +179,7 @@ def instantiated(
             raise explained(FmuError(f"{error}{tool}")) from error
         afterwards.callback(instance.freeInstance)
         instance.logged_events, instance.log_texts = events, log
-        instance.violations, instance.sliding = violations, sliding
+        instance.violations, instance.sliding, instance.leaps = violations, sliding, leaps
         yield instance, explained
 
 

@@ -208,9 +208,8 @@ class OpenedFmu:
                 self._drop()
                 raise explained(error) from error
         instance, explained = self._instance
-        logs = instance.logged_events, instance.log_texts, instance.violations, instance.sliding
-        for each in logs:
-            each.clear()
+        for logged in ("logged_events", "log_texts", "violations", "sliding", "leaps"):
+            getattr(instance, logged).clear()
         return instance, explained
 
     def _drop(self) -> None:
