@@ -16,7 +16,7 @@
 
 #define SNAPSHOT_MAGIC UINT64_C(0x554d466d69736f63) /* its bytes tell the byte order, too */
 
-enum { LAYOUT_VERSION = 21 };
+enum { LAYOUT_VERSION = 22 };
 
 typedef struct {
     uint64_t magic;
