@@ -239,3 +239,22 @@ def test_longest_step_holds_for_derivatives_whatever_the_interval():
     value = ca.MX.sym("p")
     slope = ca.Function("slope", [value], [ca.jacobian(run(p=value)["xf"][1], value)])
     assert float(slope(1.0)) == pytest.approx(0.01 * np.sqrt(np.pi), rel=1e-6)
+
+
+@pytest.mark.parametrize(("solver", "compiled"), [("dop853", True), ("erk", False), ("rk4", False)])
+def test_factory_makes_functions_of_the_derivatives(solver, compiled):
+    """x = cos(w t) with w^2 = p; dx/dp = -t sin(w t) / 2 w, dv/dp = -(sin(w t) + w t cos) / 2 w."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    system = {"x": x, "p": p, "ode": ca.vertcat(x[1], -p * x[0])}
+    dae = cosim.from_casadi(system, start_values={"x": [1, 0], "p": 4})
+    run = cosim.integrator(dae, [0.0, 1.0, 2.0], solver=solver, compiled=compiled)
+    exact = -np.array([2 * np.sin(4.0), np.sin(4.0) + 4 * np.cos(4.0)]) / 4
+    given, seeds = {"x0": [1, 0], "p": 4.0}, np.zeros((2, 3))
+    found = run.factory("f", ["x0", "p"], ["xf", "jac:xf:p"])(**given)
+    assert found["xf"].shape == (2, 3)
+    np.testing.assert_allclose(found["jac_xf_p"][-2:, 0], exact[:, None], atol=2e-7)
+    forward = run.factory("f", ["x0", "p", "fwd:p"], ["fwd:xf"])(**given, fwd_p=3.0)
+    np.testing.assert_allclose(forward["fwd_xf"][:, -1], 3 * exact[:, None], atol=6e-7)
+    seeds[:, -1] = 1.0, 2.0
+    back = run.factory("f", ["x0", "p", "adj:xf"], ["adj:p"])(**given, adj_xf=seeds)
+    assert float(back["adj_p"]) == pytest.approx(exact @ [1.0, 2.0], abs=6e-7)

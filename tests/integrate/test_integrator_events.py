@@ -244,3 +244,10 @@ def test_short_changes_are_seen_by_a_model_with_events():
         run = cosim.integrator(dae, [0.0, 4.0], derivatives=False)
     last = float(run(**cosim.start_vectors(dae))["xf"][1, -1])
     assert last == pytest.approx(np.sqrt(1 + 0.2 * np.sqrt(np.pi)), rel=1e-6)
+
+
+def test_factory_makes_the_jacobian_of_a_model_with_events():
+    run = cosim.integrator(ball(), [0.0, 1.0], solver="dop853")
+    found = run.factory("f", ["x0", "p"], ["jac:xf:p"])(x0=[1.0, 0.0], p=[9.81, 0.7])
+    exact = after_one_impact().factory("f", ["i0", "i1"], ["jac:o0:i1"])([1.0, 0.0], [9.81, 0.7])
+    np.testing.assert_allclose(found["jac_xf_p"][2, :], exact, rtol=1e-6)

@@ -205,6 +205,7 @@ def _results(dae: Dae, last: MX, before: MX, after: MX) -> list[MX]:
     return [last[:nx], dz[0], ca.reshape(last[nx:], nx, nq), dz[1]]
 
 
+_ARGUMENTS = ["x0", "z0", "p", "u"]
 # Options of a function whose derivatives all follow from its Jacobian
 _BY_JACOBIAN: dict[str, Any] = {"enable_forward": False, "enable_reverse": False}
 _BY_JACOBIAN |= {"never_inline": True, "jac_penalty": 0.0, "ad_weight_sp": -1.0}
@@ -310,16 +311,13 @@ def _hybrid_function(
     """Return a function like that of `integrator`, for a model with events; z0 has no effect."""
     runs = _HybridRuns(dae, times, solver, compiled)
     n, nx, nz = len(times), dae.x.numel(), dae.z.numel()
-    names, results = ["x0", "z0", "p", "u"], ["xf", "zf"]
     inner = [(nx, 1), (nz, 1), (dae.p.numel(), 1), (dae.u.numel(), n)]
-    outer, options = [(nx, n), (nz, n)], dict[str, Any]()
-    given = [MX.sym(name, *shape) for name, shape in zip(names, inner, strict=True)]
+    outer, jacobian = [(nx, n), (nz, n)], None
+    given = [MX.sym(name, *shape) for name, shape in zip(_ARGUMENTS, inner, strict=True)]
     if derivatives:
         blocks = [(k * n, rows * columns) for k in (nx, nz) for rows, columns in inner]
         jacobian = _Called("jac_integrator", [*inner, *outer], blocks, runs.slopes)
-        options = {"custom_jacobian": jacobian, **_BY_JACOBIAN}
-    found = _Called("run", inner, outer, runs.ends).call(given)
-    return ca.Function("integrator", given, found, names, results, options)
+    return _with_jacobian(given, _Called("run", inner, outer, runs.ends).call(given), jacobian)
 
 
 def integrator(
@@ -410,14 +408,13 @@ def integrator(
     problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=by_casadi, piecewise=True)
     scaled, sizes = in_nominal_values(problem, chosen, nominal)
     built = engine_of(scaled, chosen)
-    options = {}
-    if derivatives and not by_casadi:
-        options = {"custom_jacobian": jacobian_of_run(problem, chosen, nominal), **_BY_JACOBIAN}
-    return _bare_function(dae, built, sizes, len(times), options)
+    own = derivatives and not by_casadi
+    jacobian = jacobian_of_run(problem, chosen, nominal) if own else None
+    return _bare_function(dae, built, sizes, len(times), jacobian)
 
 
 def _bare_function(
-    dae: Dae, built: Engine, nominal: Nominal, n: int, options: dict[str, Any]
+    dae: Dae, built: Engine, nominal: Nominal, n: int, jacobian: ca.Function | None
 ) -> ca.Function:
     x0, z0 = MX.sym("x0", dae.x.numel()), MX.sym("z0", dae.z.numel())
     p, u = MX.sym("p", dae.p.numel()), MX.sym("u", dae.u.numel(), n)
@@ -427,10 +424,22 @@ def _bare_function(
     inputs = {"u": held} if dae.inputs else {}  # CasADi cannot map over empty columns
     x, z = ca.DM(nominal.x), ca.DM(nominal.z)
     result = run(x0=x0 / x, z0=z0 / z, p=parameters, **inputs)
-    names = ["x0", "z0", "p", "u"]
     unscaled = [ca.densify(result[name]) for name in ("xf", "zf")]
     columns = [rows * ca.repmat(size, 1, n) for rows, size in zip(unscaled, (x, z), strict=True)]
-    return ca.Function("integrator", [x0, z0, p, u], columns, names, ["xf", "zf"], options)
+    return _with_jacobian([x0, z0, p, u], columns, jacobian)
+
+
+def _with_jacobian(
+    given: Sequence[MX], results: Sequence[MX], jacobian: ca.Function | None
+) -> ca.Function:
+    """Return the function of an integrator; all its derivatives follow from a Jacobian, if any."""
+    what = "integrator", given, results, _ARGUMENTS, ["xf", "zf"]
+    if jacobian is None:
+        return ca.Function(*what)
+    options = {"custom_jacobian": jacobian}
+    inner = ca.Function(*what, options | _BY_JACOBIAN)
+    options["always_inline"] = True  # `factory` keeps the options of this one without its Jacobian
+    return ca.Function("integrator", given, inner.call(given), *what[3:], options)
 
 
 def start_vectors(
