@@ -176,6 +176,16 @@ def test_rounding_errors_are_no_nominal_values():
     assert alone.x == (2.0**-53, 1)
 
 
+@pytest.mark.filterwarnings("error")
+def test_start_whose_reciprocal_overflows_is_no_nominal_value():
+    dae = swing(1.0, 1.0, algebraic=False)
+    for start in (1e-320, 5e-324):
+        many = cosim.simulate_many(dae, {"s": [start]}, output_times=[1.0])
+        run = simulate(dae, start_values={"s": start}, stop_time=1.0, solver="dop853")
+        for end in (many["s"][0, 0], run.final["s"]):
+            assert end == pytest.approx(np.cos(np.sqrt(9.81)) * start, abs=1e-321)
+
+
 @pytest.mark.slow
 def test_large_unknowns_without_nominal_values_stop_idas_no_longer():
     """Accelerations of 1e5 rad/s2 pass 0, where 1e-12 of them was asked for."""

@@ -276,11 +276,12 @@ def own_sizes(dae: Dae, x0: Vector) -> Vector:
     """Return the nominal values of states, (..., nx), from their initial values of that shape.
 
     They are those of the model; a small initial value is its own one where the model sets none,
-    unless it is so small that it may be a rounding error of another one.
+    unless it is so small that it may be a rounding error of another one, or 1 / it overflows.
     """
     free, declared = _declared_sizes(dae)
     size = np.abs(x0)
     rounding = ROUNDING_OF_OTHERS * size.max(axis=-1, keepdims=True, initial=0.0)
+    rounding = np.maximum(rounding, 1 / np.finfo(float).max)
     return np.where(free & (rounding < size) & (size < _SMALL), size, declared)
 
 
