@@ -278,6 +278,55 @@ def test_times_far_from_0_have_columns_of_their_own(capsys):
     assert [float(word) for word in row.split()[2:]] == pytest.approx([55, 120])  # 50 t + 5 t^2
 
 
+RAMP = """
+import cosim
+
+def build():
+    model = cosim.Model("ramp", stop_time=2.0)
+    x = model.state("x", "m", 0.0, "place")
+    model.derivative(x, 1.0)
+    model.stop(x > 1.25, "reached")
+    return model.freeze()
+
+def ball():
+    model = cosim.Model("ball", stop_time=2.0)
+    x, v = model.state("x", "m", 1.0, "height"), model.state("v", "m/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -9.81)
+    model.when(x < 0, {v: -v / 2})  # ever faster before 1.355 s
+    return model.freeze()
+"""
+
+
+@pytest.mark.parametrize("where", ["native", "fmu-me", "fmu-cs"])
+def test_table_of_a_run_that_stops_has_the_times_that_it_reached(
+    where, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("ramp.py").write_text(RAMP, encoding="utf-8")
+    line = ["simulate", "ramp.py:build", "--backend", where, "-q"]
+    assert main([*line, "--at", "0.5,1,2"]) == 0
+    head, row = capsys.readouterr().out.splitlines()
+    assert [round(float(word), 9) for word in head.split()[2::2]] == [0.5, 1.0, 1.25]
+    assert [float(word) for word in row.split()[2:]] == pytest.approx([0.5, 1.0, 1.25])
+    assert main([*line, "--start-time", "0.5", "--at=0,2"]) == 2  # no time of the run
+    capsys.readouterr()
+
+
+def test_table_of_a_coupled_run_that_fails_has_the_times_that_it_reached(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("ramp.py").write_text(RAMP, encoding="utf-8")
+    Path("pair.toml").write_text(
+        'stop_time = 2.0\n[parts]\na = "ramp.py:ball"\nb = "ramp.py:ball"\n', encoding="utf-8"
+    )
+    assert main(["simulate", "pair.toml", "--method", "iterated", "--at", "0.5,2", "-q"]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.splitlines()[0].split() == ["name", "unit", "0.5", "s"]
+    assert "ParameterError" not in captured.err
+
+
 def test_beginning_of_a_verb_is_enough_if_it_is_the_only_one(capsys):
     assert main(["sim", "crank_shaft", "--at", "0", "-q"]) == 0
     assert "omega" in capsys.readouterr().out

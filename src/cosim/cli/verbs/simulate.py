@@ -5,12 +5,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.cli.arguments import numbers_in, runs_natively
 from cosim.cli.runs import run_or_partial, scene_or_none
 from cosim.cli.tables import show_table, write_text
 from cosim.errors import UnknownName, UsageError
 from cosim.host.optional_packages import optional_module
 from cosim.series.csv_file import UNIT_KINDS
+from cosim.series.samples import clipped_times
 from cosim.text import json_text
 from cosim.trajectory import Trajectory
 
@@ -21,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     scene = scene_or_none(args)
     run, code = run_or_partial(args, scene)
     if args.at is not None and (scene is None or not runs_natively(args)):
-        run = run.at(sorted(numbers_in("--at", args.at)))
+        run = _at(run, sorted(numbers_in("--at", args.at)), code)
     if args.json:
         columns = {name: run[name].tolist() for name in ("time", *run.names)}
         head = {"model": run.model, "status": run.status, "units": run.units}
@@ -58,6 +61,17 @@ def _checked_ending(args: argparse.Namespace) -> str:
     if ending == ".mat":
         optional_module("scipy.io", "data")
     return ending
+
+
+def _at(run: Trajectory, times: list[float], code: int) -> Trajectory:
+    """Return a run at requested times; if it ended early, at those before, and where it stopped."""
+    end, has_stopped = run.time[-1], "stop" in run.stats
+    if code != 0 or has_stopped:
+        inside = clipped_times(run.time, np.array(times))[1]
+        before = [t for t in times if t < end]
+        times = [*before, end] if has_stopped or inside[len(before) :].any() else before
+    found: Trajectory = run.at(times)
+    return found
 
 
 def _at_times(run: Trajectory, units: str) -> list[dict[str, Any]]:
