@@ -172,7 +172,7 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"stop_when": "q > 0"}, "no name 'q'"),
         ({"stop_when": "x < 0.5", "accuracy": 1e-3}, "stop_when needs a solver"),
         ({"output_times": [1, 2], "stop_time": 3}, "output_times already sets all output times"),
-        ({"output_times": [2, 1]}, "is not after the one before it"),
+        ({"output_times": [2, 1]}, "output_times: time 2 (1 s) is not after the one before it"),
         ({"output_times": "soon"}, "output_times was given 'soon'"),
         ({"compiled": "no"}, "compiled was given 'no', of type str; give True, False or None"),
         ({"compiled": np.ones(2)}, "compiled was given array"),

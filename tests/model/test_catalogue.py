@@ -93,6 +93,8 @@ def test_unknown_model_is_answered_with_the_nearest_whatever_the_case(name, told
         ("mine.py", "name the function that builds it, too, as PATH.py:FUNCTION"),
         ("bar_theta.toml", "most verbs; in Python, by cosim.read_scene"),
         ("folder/bicycle.fmu", "an FMU is taken by simulate"),
+        ("run.mat", "write NAME.csv for plot and animate"),
+        ("run.json", "write NAME.csv for plot and animate"),
         ("run.csv", "a result is taken by plot and animate; in Python, by cosim.Trajectory.read"),
     ],
 )

@@ -408,8 +408,9 @@ def integrator(
     problem = Problem(dae, times.tobytes(), None, compiled, sensitivities=by_casadi, piecewise=True)
     scaled, sizes = in_nominal_values(problem, chosen, nominal)
     built = engine_of(scaled, chosen)
-    own = derivatives and not by_casadi
-    jacobian = jacobian_of_run(problem, chosen, nominal) if own else None
+    jacobian = None
+    if derivatives and not by_casadi:
+        jacobian = jacobian_of_run(problem, chosen, nominal)
     return _bare_function(dae, built, sizes, len(times), jacobian)
 
 
@@ -436,7 +437,7 @@ def _with_jacobian(
     what = "integrator", given, results, _ARGUMENTS, ["xf", "zf"]
     if jacobian is None:
         return ca.Function(*what)
-    options = {"custom_jacobian": jacobian}
+    options: dict[str, Any] = {"custom_jacobian": jacobian}
     inner = ca.Function(*what, options | _BY_JACOBIAN)
     options["always_inline"] = True  # `factory` keeps the options of this one without its Jacobian
     return ca.Function("integrator", given, inner.call(given), *what[3:], options)

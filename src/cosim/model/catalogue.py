@@ -116,6 +116,8 @@ _OTHER_FILES = {
     ".ssp": "a system is taken by simulate, tradeoff and info; in Python, by cosim.read_ssp",
     ".toml": "a scene is taken by most verbs; in Python, by cosim.read_scene",
     ".csv": "a result is taken by plot and animate; in Python, by cosim.Trajectory.read_csv",
+    ".mat": "a MATLAB file is for MATLAB and Octave; write NAME.csv for plot and animate",
+    ".json": "JSON is for other programs; write NAME.csv for plot and animate",
     ".fmu": "an FMU is taken by simulate, crosscheck and plot; in Python, by cosim.simulate_fmu",
 }
 

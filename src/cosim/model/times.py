@@ -80,8 +80,8 @@ def reject_span(start: float, stop: float, owner: str = "") -> None:
         raise ParameterError(f"{owner}a run of {stop - start:g} s has no steps; give a later stop")
 
 
-def checked_grid(grid: ArrayLike) -> Vector:
-    """Return a grid of two or more times.
+def checked_grid(grid: ArrayLike, name: str = "grid") -> Vector:
+    """Return a grid of two or more times; `name` is that of the argument.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.
@@ -89,14 +89,14 @@ def checked_grid(grid: ArrayLike) -> Vector:
     try:
         times = reals(grid)
     except (TypeError, ValueError) as error:
-        raise ParameterError(f"grid: {error}; give times in s") from error
+        raise ParameterError(f"{name}: {error}; give times in s") from error
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
-        raise ParameterError("grid: give two or more finite times in one dimension")
+        raise ParameterError(f"{name}: give two or more finite times in one dimension")
     falling = np.flatnonzero(np.diff(times) <= 0)
     if falling.size:
         i = int(falling[0]) + 1
         raise ParameterError(
-            f"grid: time {i} ({times[i]:.17g} s) is not after the one before it; give times that "
+            f"{name}: time {i} ({times[i]:.17g} s) is not after the one before it; give times that "
             f"increase from {times[0]:.17g} s on and that double precision can tell apart"
         )
     return times
@@ -144,7 +144,8 @@ class Times:
             raise ParameterError("output_times: give finite times in s, in one dimension")
         found = cls(start, stop, own=own.tobytes())
         if own.size > 1 or own[0] != start:
-            checked_grid(own if own[0] == start else np.concatenate(([start], own)))
+            grid = own if own[0] == start else np.concatenate(([start], own))
+            checked_grid(grid, "output_times")
         return found
 
     def grid(self, dae: Dae, numbers: int = 1) -> Vector:
