@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TypeVar
 
 from casadi_models.dae import Dae, Start, Variable
-from cosim.errors import UnknownName, UsageError
+from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.catalogue import observable
 from cosim.model.inputs import InputSeries
 from cosim.model.reduction import checked_outputs, reduce
@@ -178,6 +178,17 @@ class RunRequest:
             values={name: value for name, value in values.items() if name in known},
             inputs=self.inputs and self.inputs.only({v.name for v in small.inputs}),
         )
+
+    def reject_instant(self) -> None:
+        """Reject a run that ends as it begins.
+
+        Raises:
+            ParameterError: It does.
+        """
+        begin, end = self.times.span(self.dae)
+        if end == begin:
+            ends = f"{self.dae.full_name}: stop_time = {end:g} s is the start of the run"
+            raise ParameterError(f"{ends}; give a later one")
 
     def configured(self) -> Dae:
         """Return the model with the request's values, span and interval as defaults, for export.

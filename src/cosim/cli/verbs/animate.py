@@ -65,6 +65,7 @@ def _live_model(args: argparse.Namespace, tables: Sequence[str]) -> Dae:
     if scene is None:
         raise UsageError("--live needs a single model or scene")
     request = scene.request.reduced() if args.outputs else replace(scene.request, outputs=None)
+    request.reject_instant()
     dae = request.configured()
     if request.inputs is not None:
         dae = with_tables(dae, request.inputs)

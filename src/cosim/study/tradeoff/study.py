@@ -164,6 +164,7 @@ def tradeoff(
     selection = _possible(selection or Selection(), progress)
     if not request.dae.states:
         raise UsageError(f"{name} has no states: there is nothing to integrate")
+    request.reject_instant()
     every = every_formulation is not False
     requests = tuple(fitting_formulations(request)) if every else (request,)
     outputs = selected_outputs(requests)
