@@ -156,7 +156,7 @@ def test_times_may_have_a_unit(text, value):
         ("simulate bicycle --input steer=t", "no input 'steer'; did you mean steer_torque?"),
         ("simulate bicycle --at soon", "--at: 'soon' is not a number with a unit"),
         ("scene bicycle_modell_1", "did you mean bicycle_model_1"),
-        ("new pendulum.txt", "give a name like pendulum.py"),
+        ("new pendulum.txt", "use letters, digits and _, as in pendulum.py"),
         ("new mine.toml", "add --from SCENE"),
         ("new mine.py --from crank_torque", "give a name like mine.toml"),
         ("--print-completion csh", "no shell 'csh'; did you mean tcsh?"),

@@ -180,11 +180,7 @@ class RunRequest:
         )
 
     def reject_instant(self) -> None:
-        """Reject a run that ends as it begins.
-
-        Raises:
-            ParameterError: It does.
-        """
+        """Raise a ParameterError for a run that ends as it begins."""
         begin, end = self.times.span(self.dae)
         if end == begin:
             ends = f"{self.dae.full_name}: stop_time = {end:g} s is the start of the run"

@@ -21,7 +21,9 @@ def run(args: argparse.Namespace) -> int:
     elif path.suffix == ".toml":
         raise UsageError(f"cosim new: {path} needs a scene to copy; add --from SCENE")
     elif path.suffix != ".py" or not path.stem.isidentifier():
-        raise UsageError(f"cosim new: {path} cannot hold a model; give a name like pendulum.py")
+        raise UsageError(
+            f"cosim new: {path} cannot hold a model; use letters, digits and _, as in pendulum.py"
+        )
     else:
         template = Path(__file__).with_name("pendulum.txt").read_text(encoding="utf-8")
         text, subject = template.format(file=path, name=path.stem), f"{path}:build"
