@@ -344,6 +344,7 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
         return;
     }
     const bool timed = s->next <= t && s->next != NOT_PLANNED;
+    if (timed) s->reached = t;
     const double way = find_switched(laws, s, at, crossing, later, zero, decided, found->zero);
     found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided);
     if (found->ending.reason == GOES_ON)

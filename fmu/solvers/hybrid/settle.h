@@ -313,7 +313,7 @@ static inline Ending begin_modes(const Laws *laws, Switching *s, const Point *at
     bool zero[MODES + 1] = {0};
     const bool decided[MODES + 1] = {0};
     memset(s, 0, sizeof *s);
-    s->next = s->last = NOT_PLANNED;
+    s->next = s->last = s->reached = NOT_PLANNED;
     s->span = span;
     s->start = at->t;
     for (int i = 0; i < MODES; i++) modes_of(at)[i] = 1;

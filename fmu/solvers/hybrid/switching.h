@@ -27,6 +27,7 @@ typedef struct {
     double conditions[EVENTS + 1]; /* of rules, as they were after the last instant */
     double next;                   /* time event: the first of `due`; NOT_PLANNED after a change */
     double last;                   /* time of the last event */
+    double reached;                /* by the last time event, to which an importer may be early */
     double start;
     double rounded; /* how often times and states were rounded: at events and in steps */
     double looked;  /* time at which an importer has looked last */
@@ -74,12 +75,13 @@ static inline double ulp(double t) {
     return nextafter(fabs(t), INFINITY) - fabs(t);
 }
 
-/* The time of an instant; importers of model exchange may come a little early to a time event. */
+/* The time of an instant; importers of model exchange may come a little early to a time event, and
+ * then to other events before its time. */
 static inline double event_time(const Laws *laws, const Switching *s, double now) {
     const double known = SAME_TIME * fmax(fabs(now), fabs(s->next));
     const bool early = laws->blind && s->next != NOT_PLANNED && s->next > now &&
                        s->next - now <= fmax(known, ROUNDING * fabs(s->start));
-    return early ? s->next : now;
+    return early ? s->next : laws->blind ? fmax(now, s->reached) : now;
 }
 
 /* Whether a relation of time alone switches at a time. */
