@@ -262,6 +262,17 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
     }
 }
 
+/* Adds arguments that only rounding keeps within their modes to those that are 0. */
+static inline void note_passing(const Laws *laws, const Switching *s, const Point *at,
+                                const Seen *seen, bool zero[]) {
+    double inside[MODES + 1], rates[MODES + 1];
+    measure(laws, s, modes_of(at), seen, inside, rates);
+    for (int i = 0; i < MODES; i++) {
+        const bool passes = inside[i] >= 0 && is_passing(s, at->t, i, inside[i], rates[i]);
+        zero[i] = zero[i] || (!laws->relations[i].of_time && passes);
+    }
+}
+
 /* Finds modes that are consistent with what follows.
  *
  * zero: relations whose arguments are 0, whatever rounding makes of them; more may be found.
@@ -277,6 +288,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
         if (trial > 0) note_jumps(s, &before, &seen, zero);
+        note_passing(laws, s, at, &seen, zero);
         before = seen;
         bool changed = release(s, modes_of(at), zero, kept);
         const bool back = trial > 2 * MODES && trial % 2 != 0; /* breaks cycles */

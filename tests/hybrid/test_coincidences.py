@@ -1,0 +1,108 @@
+"""What coincides at an instant but for rounding, or for the tolerance of an importer."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers.hybrid_engines import exported, run_on
+
+import cosim
+
+ME = [("fmpy", tolerance) for tolerance in (1e-10, 1e-11)] + [("c", 1e-9)]
+
+
+def samples():
+    """Return crossings, of squares and cubes of the time, and a sample, all of them at 1 s."""
+    model = cosim.Model("samples", stop_time=2.0, output_interval=0.25)
+    x = model.state("x", "1", 0.0, "time")
+    square, cube = model.state("y", "1", 0.0, "square"), model.state("z", "1", 0.0, "cube")
+    n, late = model.discrete("n", "1", 0.0, "samples"), model.discrete("late", "1", 0.0, "1: late")
+    crossed = model.discrete("crossed", "1", 0.0, "crossings")
+    model.derivative(x, 1)
+    model.derivative(square, 2 * x)
+    model.derivative(cube, 3 * x**2)
+    model.when(square >= 1, {crossed: crossed + 1}, name="square")
+    model.when(cube >= 1, {crossed: crossed + 1}, name="cube")
+    model.when(model.t >= 1, {late: late + 1}, name="late")
+    model.every(0.5, {n: n + 1}, name="sample")
+    return model.freeze()
+
+
+def reached():
+    """Return a moving state, and a threshold that an event puts just where it is."""
+    model = cosim.Model("reached", stop_time=2.0, output_interval=0.25)
+    rate = model.parameter("rate", "1", 1.0, "rate")
+    x = model.state("x", "1", 0.0, "moves")
+    beyond = model.state("beyond", "1", 0.0, "way beyond the threshold")
+    low, high = model.discrete("low", "1", -5.0, "low"), model.discrete("high", "1", 50.0, "high")
+    n = model.discrete("n", "1", 0.0, "how often x reached the low threshold, which is below it")
+    model.derivative(x, rate)
+    model.derivative(beyond, ca.if_else(x > high, rate, 0))
+    model.when(x >= 0.3, {low: 0.3, high: 0.3}, name="put")
+    model.when(x >= low, {n: n + 1}, name="low")
+    return model.freeze()
+
+
+def taken_away():
+    """Return a speed that friction brings to rest just when an event sets it to 1."""
+    model = cosim.Model("taken_away", stop_time=2.0, output_interval=0.25)
+    v, w = model.state("v", "1", 1.0, "braked"), model.state("w", "1", 0.0, "rises")
+    model.derivative(w, 2)
+    model.derivative(v, -2 * ca.sign(v))
+    model.when(w >= 1, {v: 1}, name="again")
+    return model.freeze()
+
+
+def followed():
+    """Return a moving state, and a threshold that samples move to where it is."""
+    model = cosim.Model("followed", stop_time=2.0, output_interval=0.1)
+    x = model.state("x", "1", 0.0, "moves")
+    low, n = model.discrete("low", "1", 0.0, "low"), model.discrete("n", "1", 0.0, "reached low")
+    model.derivative(x, 1)
+    model.every(0.1, {low: low + 0.1}, offset=0.1, name="sample")
+    model.when(x >= low, {n: n + 1}, name="low")
+    return model.freeze()
+
+
+SAMPLES, REACHED, FOLLOWED, TAKEN = samples(), reached(), followed(), taken_away()
+
+
+@pytest.mark.parametrize(("master", "tolerance"), ME)
+def test_an_importer_comes_early_to_several_events_at_a_sample(master, tolerance):
+    run = cosim.simulate_fmu(
+        exported(SAMPLES, 2),
+        interface="ModelExchange",
+        master=master,
+        relative_tolerance=tolerance,
+    )
+    assert run.final["n"] == 5
+    assert run.final["late"] == 1
+    assert run.final["crossed"] == 2
+
+
+@pytest.mark.parametrize("engine", ["dop853", "idas", "fmu2 cs c", "fmu2 me fmpy", "fmu2 me c"])
+def test_an_event_puts_a_threshold_where_a_state_moves(engine):
+    for rate in np.linspace(0.5, 6.5, 13):
+        start = {"rate": rate}
+        if engine == "fmu2 me c":
+            path = exported(REACHED, 2)
+            run = cosim.simulate_fmu(
+                path, interface="ModelExchange", master="c", start_values=start
+            )
+        else:
+            run = run_on(engine, REACHED, start_values=start)
+        assert run.final["n"] == 0
+        assert run.final["beyond"] == pytest.approx(2 * rate - 0.3, abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["dop853", "rk4", "cvodes", "idas", "fmu2 cs c", "fmu2 me fmpy"])
+def test_a_sample_puts_a_threshold_where_a_state_moves(engine):
+    run = run_on(engine, FOLLOWED)
+    assert run.final["low"] == pytest.approx(2, abs=1e-12)
+    assert run.final["n"] == 0  # x >= low stays true
+
+
+@pytest.mark.parametrize("engine", ["dop853", "rk4", "cvodes", "idas", "fmu2 cs c", "fmu2 me fmpy"])
+def test_an_event_takes_away_what_came_to_rest_at_this_instant(engine):
+    run = run_on(engine, TAKEN)
+    assert run.at(0.75)["v"] == pytest.approx(0.5, abs=1e-5)
+    assert run.final["v"] == pytest.approx(0, abs=1e-9)
