@@ -66,7 +66,7 @@ def _control(option: int, value: int) -> None:
 MOST_OUTPUT = 10_000  # bytes of what a confined child prints
 PATH = "COSIM_PATH"  # where a child that is not confined looks for modules at last
 ENVIRONMENT = (
-    *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
+    *("PATH", "CC", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH"),
     *("DYLD_LIBRARY_PATH", "SYSTEMROOT", "USERPROFILE", "XDG_CACHE_HOME", "LOCALAPPDATA"),
     LIMITS_VARIABLE,
 )

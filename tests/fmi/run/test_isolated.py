@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from helpers.fmu_files import misbehaving
 from helpers.small_models import decay
 
 import cosim
+from cosim.codegen.compiler import find_compiler
 from cosim.errors import FmuError, ParameterError, SolverError, UnknownName
 from cosim.fmi.run.isolated import run_apart
 from cosim.host import child
@@ -183,6 +185,17 @@ def test_a_child_has_the_cache_of_its_parent(bad, tmp_path, monkeypatch):
     run_apart(bad, output_interval=0.1, stop_time=0.1)
     assert not (tmp_path / "home").exists()
     assert (tmp_path / "own").is_dir()
+
+
+@POSIX
+def test_a_child_has_the_compiler_of_its_parent(bad, tmp_path, monkeypatch):
+    """Before: another one than $CC, and none where only $CC names one."""
+    called, compiler = tmp_path / "called", tmp_path / "compiler"
+    compiler.write_text(f'#!/bin/sh\ntouch {called}\nexec {shlex.join(find_compiler())} "$@"\n')
+    compiler.chmod(0o700)
+    monkeypatch.setenv("CC", str(compiler))
+    run_apart(bad, output_interval=0.1, stop_time=0.1, master="c")
+    assert called.exists()
 
 
 @pytest.mark.slow
