@@ -6,7 +6,7 @@ import stat
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any, BinaryIO
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
@@ -222,6 +222,6 @@ def _are_copies(archive: zipfile.ZipFile, one: zipfile.ZipInfo, other: zipfile.Z
 
 def leaves_archive(name: str) -> bool:
     """Tell whether an entry's name leads elsewhere on some operating system."""
-    windows = PureWindowsPath(name)
-    climbs = ".." in (*PurePosixPath(name).parts, *windows.parts)
-    return climbs or name.startswith(("/", "\\")) or bool(windows.drive) or "\0" in name
+    climbs = ".." in name.replace("\\", "/").split("/")
+    has_drive = name[1:2] == ":"
+    return climbs or name.startswith(("/", "\\")) or has_drive or "\0" in name

@@ -1,7 +1,6 @@
 """fmpy's instance of an unpacked FMU: created, initialized, and with errors that say why."""
 
 import ctypes
-import inspect
 import os
 import re
 import sys
@@ -262,6 +261,16 @@ def _instance(folder: Path, description: Any, kind: Interface, key: int, **callb
     return instance
 
 
+def _load_functions(self: Any) -> None:
+    """Load the functions of a library; fmpy finds out their types, once for a class."""
+    if not self.known:
+        super(type(self), self)._loadFunctions()
+        self.known.update(self._functions)
+    for name, same in self.known.items():
+        own = self._functions[name] = getattr(self.dll, name)
+        own.argnames, own.argtypes, own.restype = same.argnames, same.argtypes, same.restype
+
+
 @cache
 def _checked_class(second: bool, exchange: bool) -> type:
     """Return fmpy's class of FMUs, which rejects unknown statuses and calls nothing after Fatal.
@@ -310,11 +319,10 @@ def _checked_class(second: bool, exchange: bool) -> type:
         return getattr(self, _METHODS_OF_FMI_2[name])
 
     of_second = {"doStep": step_as_in_fmi_3, "__getattr__": method_of_fmi_3}
-    methods = {"_call": checked_call, "freeInstance": free, **(of_second if second else {})}
-    for _, function in inspect.getmembers(base, inspect.isfunction):
-        vars(function)["__signature__"] = inspect.signature(function)  # else derived each time
+    methods = {"_call": checked_call, "freeInstance": free, "_loadFunctions": _load_functions}
+    members = {"known": {}, **methods, **(of_second if second else {})}
     bases = (base,) if sys.platform == "win32" else (base, _staying_class())
-    return type(name, bases, methods)  # fmpy reads the version from the name
+    return type(name, bases, members)  # fmpy reads the version from the name
 
 
 @cache
