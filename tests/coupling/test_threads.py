@@ -20,6 +20,7 @@ TIMES = {"stop_time": 0.2, "accuracy": 1e-3}
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")  # whose compiler knows variables of a thread
 def test_one_system_in_many_threads_gives_the_same_bits():
     system = read_system(RIDE)
     expected = read_system(RIDE).simulate(**TIMES)

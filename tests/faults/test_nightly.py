@@ -40,6 +40,7 @@ def test_random_fault_ends_in_one_sentence(part, ends_well, exported):
     assert {f"{row.name}: {row.words}": wrong for row, wrong in found if wrong} == {}
 
 
+@pytest.mark.usefixtures("optimized")  # whose compiler knows variables of a thread
 @pytest.mark.parametrize("kind", ["models", "file", "ssp"])
 def test_threads_end_as_each_would_alone(kind, exported, tmp_path, counts):
     made = systems(tmp_path, exported("crank_shaft"))[kind]

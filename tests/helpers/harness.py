@@ -25,6 +25,7 @@ import fmpy
 import pytest
 from helpers import event_models, toy
 
+from cosim.codegen.compiler import SUFFIX, compile_library
 from cosim.codegen.fmu.solver import LOOK_STEPS
 
 RUNTIME = Path(__file__).parents[2] / "fmu" / "runtime"
@@ -45,7 +46,6 @@ STRICT = [
     "-Werror",
     "-Wno-unused-function",
 ]  # no model uses all
-LEVEL = os.environ.get("COSIM_TEST_LEVEL", "-O0") or "-O2"  # see tests/conftest.py
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 THREADED = ["-g", "-O1", "-fsanitize=thread"]
 # The C library's functions of memory are the test's
@@ -69,22 +69,27 @@ def sources(model: Path, version: int) -> list[Path]:
 
 def compiled(model: Path, version: int, flags: Sequence[str], folder: Path) -> Path:
     """Compile runtime (strictly) and model (leniently) as one unit, as exports do."""
-    folder.mkdir(parents=True, exist_ok=True)
-    include = [f"-I{RUNTIME}", *INCLUDES, "-isystem", model, "-isystem", HEADERS]
-    unit = folder / f"fmu{version}.c"
-    names = (*(file.name for file in sources(model, version)), "equations.c")
-    unit.write_text("".join(f"#include <{name}>\n" for name in names))
+    unit, include = _unit(model, version, folder)
     target = unit.with_suffix(".o")
     run([compiler(), *STRICT, *flags, *include, "-c", unit, "-o", target])
     return target
 
 
 def library(model: Path, version: int, folder: Path) -> ctypes.CDLL:
-    """Build and load a shared library."""
-    unit = compiled(model, version, [LEVEL, "-fPIC"], folder)
-    target = folder / "fmu.so"
-    run([compiler(), "-shared", unit, "-o", target, "-lm"])
-    return ctypes.CDLL(str(target))
+    """Check the same unit as strictly, and load its library from the compiler of the tests."""
+    unit, include = _unit(model, version, folder)
+    run([compiler(), *STRICT, *include, "-fsyntax-only", unit])
+    options = ["-std=c11", NAMES, *map(str, include)]
+    return ctypes.CDLL(str(compile_library([unit], folder / f"fmu{SUFFIX}", options=options)))
+
+
+def _unit(model: Path, version: int, folder: Path) -> tuple[Path, list[Any]]:
+    """Write the file that includes runtime and model; return it and where its headers are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    unit = folder / f"fmu{version}.c"
+    names = (*(file.name for file in sources(model, version)), "equations.c")
+    unit.write_text("".join(f"#include <{name}>\n" for name in names))
+    return unit, [f"-I{RUNTIME}", *INCLUDES, "-isystem", model, "-isystem", HEADERS]
 
 
 def program(

@@ -1,7 +1,9 @@
 """Compile shared libraries with TinyCC, in a twentieth of GCC's time, and with GCC what it lacks.
 
-TinyCC knows neither vectors, as lanes use them, nor variables of a thread. Both compilers round
-every operation to double precision and fuse none, so that the numbers are the same bits.
+TinyCC does not know vectors, as lanes use them. It gives all threads one variable where each should
+have its own: C that starts threads is compiled with GCC, and tests that run compiled models in
+threads of Python use the fixture `optimized`. Both compilers round every operation to double
+precision and fuse none, so that the numbers are the same bits.
 """
 
 from pathlib import Path

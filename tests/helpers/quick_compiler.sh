@@ -7,11 +7,15 @@ shift 4
 compiles() {
     for word; do
         shift
-        [ "$word" = -Wl,--gc-sections ] || set -- "$@" "$word" # unknown to TinyCC
+        case $word in
+        -Wl,--gc-sections) continue ;; # unknown to TinyCC
+        *.c) grep -q pthread_create "$word" && return 1 ;; # each needs variables of its own
+        esac
+        set -- "$@" "$word"
     done
     # a library needs no start files, which TinyCC looks for in other folders
     "$tcc" "-B$own" "-I/usr/include/$multiarch" "-L/usr/lib/$multiarch" "-L/lib/$multiarch" \
-        -nostdlib "$@" -lc "$own/libtcc1.a" >/dev/null 2>&1
+        -D_Thread_local= -nostdlib "$@" -lc "$own/libtcc1.a" >/dev/null 2>&1
 }
 case " $* " in *" -shared "*) compiles "$@" && exit ;; esac
 exec "$compiler" "$@"
