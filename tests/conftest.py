@@ -55,16 +55,20 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     A thread ends the session at the limit: signals belong to the tests, and would not end C code.
     """
     table, _, row = item.nodeid.removesuffix("]").partition("[")
-    slow, quick = (item.get_closest_marker(f"{kind}_rows") for kind in ("slow", "quick"))
-    if (slow and row in slow.args) or (quick and row not in quick.args):
-        item.add_marker("slow")
-    share = item.get_closest_marker("quick_share")
-    if share and not is_in_sample(table, share.args[0]):
+    marks = {mark.name: mark.args for mark in reversed([*item.iter_markers()])}  # the closest
+    is_slow = (
+        "slow" in marks
+        or row in marks.get("slow_rows", ())
+        or ("quick_rows" in marks and row not in marks["quick_rows"])
+    )
+    if "quick_share" in marks and not is_in_sample(table, *marks["quick_share"]):
+        is_slow = True
+    if is_slow and "slow" not in marks:
         item.add_marker("slow")
     if item.config.pluginmanager.has_plugin("timeout"):
-        limit = NIGHTLY_LIMIT if item.get_closest_marker("nightly") else TIME_LIMIT
+        limit = NIGHTLY_LIMIT if "nightly" in marks else TIME_LIMIT
         item.add_marker(pytest.mark.timeout(limit, method="thread"), append=False)
-    if row and item.get_closest_marker("slow") and not is_in_sample(f"slow {table}", SLOW_SHARE):
+    if row and is_slow and not is_in_sample(f"slow {table}", SLOW_SHARE):
         item.add_marker("nightly")
 
 

@@ -56,6 +56,7 @@ def walls(numbers, start, switches, times):
     return found
 
 
+@pytest.mark.slow_rows("rising-{'relay': 'no interpolation'}")
 @pytest.mark.parametrize(
     "abilities", [{"room": "no rates"}, {"relay": "no interpolation"}], ids=str
 )

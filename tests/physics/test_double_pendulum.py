@@ -316,7 +316,7 @@ def test_near_singular_start_gives_the_motion_of_the_quaternions(formulations, o
 
 
 @pytest.mark.quick_share(0.3)
-@pytest.mark.slow_rows("0.001-cvodes", "0.001-erk")
+@pytest.mark.slow_rows("0.001-cvodes", "0.001-erk", "1e-12-erk")
 @pytest.mark.parametrize("solver", ["cvodes", "erk", "rosenbrock"])
 @pytest.mark.parametrize("miss", [1e-3, 1e-6, 1e-9, 1e-12, 0.0])
 def test_passing_the_singularity_ends_accurate_or_refused(formulations, solver, miss):

@@ -478,6 +478,7 @@ def test_accuracy_above_all_values_of_a_variable_names_it(coupled, accuracy, not
     assert ("charge (at most 5e-09)" in note) == noted
 
 
+@pytest.mark.slow_rows("goal0")
 @pytest.mark.parametrize("goal", [{"accuracy": 1e-6}, {"budget": 0.1}])
 def test_a_run_that_ends_before_the_model_s_own_span_fails_is_accurate(goal):
     model = cosim.Model("blow_up", stop_time=2.0)
