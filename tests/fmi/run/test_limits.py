@@ -66,11 +66,12 @@ def begun(path, folder):
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_signal_leaves_neither_folder_nor_process(bad, tmp_path, kind):
-    process = begun(bad("fmi2DoStep deaf"), tmp_path)
+    path = bad("fmi2DoStep deaf")
+    process = begun(path, tmp_path)
     process.send_signal(kind)
     _, told = process.communicate(timeout=30)
     assert process.returncode == (130 if kind == signal.SIGINT else -kind)
-    assert told.splitlines() == ["interrupted"]
+    assert told.splitlines() in (["interrupted"], [f"{path}: interrupted"])  # with a first row
     assert list(tmp_path.iterdir()) == []
 
 
