@@ -262,14 +262,16 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
     }
 }
 
-/* Adds arguments that only rounding keeps within their modes to those that are 0. */
+/* Adds arguments of known rates that only rounding keeps within their modes to those that are 0. */
 static inline void note_passing(const Laws *laws, const Switching *s, const Point *at,
                                 const Seen *seen, bool zero[]) {
     double inside[MODES + 1], rates[MODES + 1];
     measure(laws, s, modes_of(at), seen, inside, rates);
     for (int i = 0; i < MODES; i++) {
+        const Relation *relation = &laws->relations[i];
+        const bool known = !relation->of_time && !(laws->blind && relation->moved);
         const bool passes = inside[i] >= 0 && is_passing(s, at->t, i, inside[i], rates[i]);
-        zero[i] = zero[i] || (!laws->relations[i].of_time && passes);
+        zero[i] = zero[i] || (known && passes);
     }
 }
 
