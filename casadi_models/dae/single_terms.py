@@ -9,7 +9,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import column, symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import Mode
+from casadi_models.dae.relations import Mode, mode_count
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
@@ -21,7 +21,7 @@ _RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CAL
 _STAYS = {ca.OP_DIV: 0, ca.OP_POW: 1, ca.OP_CONSTPOW: 1}  # the operand that does, of an inverse
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _MOST_MODES = 4  # of a called function
-_NONE, _MANY = -1, -2  # in place of the position of what a node depends on
+_NONE, _MANY, _MODES = -1, -2, -3  # in place of the position of what a node depends on
 
 
 class _Node(NamedTuple):
@@ -29,7 +29,7 @@ class _Node(NamedTuple):
 
     Attributes:
         value: The expression.
-        moving: The position of the only quantity that moves it, `_NONE` or `_MANY`.
+        moving: The position of the only quantity that moves it, `_NONE`, `_MODES` or `_MANY`.
         terms: The terms of which it is the sum, if one quantity moves it.
         is_local: Whether it may change within a small part of the quantity's way.
         inner: The local terms of sums in it, whose changes are small beside the other terms.
@@ -146,6 +146,8 @@ def _moving(dae: Dae) -> dict[int, int]:
     """Return what moves a symbol, by its hash: see `_Node.moving`."""
     moving = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(dae.x))}
     moving[dae.t.element_hash()] = dae.x.numel()
+    modes = ca.vertsplit(dae.u)[dae.u.numel() - mode_count(dae) :]  # which jump, and do not move
+    moving |= {mode.element_hash(): _MODES for mode in modes}
     return moving | dict.fromkeys(symbols(dae.p), _NONE)
 
 

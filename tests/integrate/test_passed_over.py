@@ -446,3 +446,14 @@ def test_a_result_without_entries_has_no_terms():
     x = SX.sym("x")
     function = ca.Function("function", [x], [SX(1, 0), x**2])
     assert [str(term) for term in called(function, [x])] == ["sq(x)"]
+
+
+def test_a_table_that_relations_switch_is_no_term_that_moves():
+    model = cosim.Model("switched", stop_time=2.0)
+    x, v = model.state("x", "1", 0, "sum"), model.state("v", "1", -0.5, "what switches")
+    table = ca.interpolant("table", "linear", [[0, 1, 2]], [1.0, 2.0, 4.0])
+    model.derivative(v, 1)
+    model.derivative(x, table(ca.if_else(v > 0, 1, 0)) + table(ca.if_else(v > 1, 1, 0)))
+    run = cosim.simulate(model.freeze())
+    assert run.final["x"] == pytest.approx(6)
+    assert "note" not in run.stats
