@@ -5,6 +5,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import casadi as ca
+import numpy as np
+from casadi import SX
+
 from casadi_models.dae import Dae, Model
 from casadi_models.dae.coupled import Connection
 from casadi_models.units import Unit, parse_unit
@@ -15,13 +19,13 @@ from cosim.coupling.values import target
 from cosim.errors import UsageError
 from cosim.fmi.run.typed_values import is_continuous, series_value
 from cosim.integrate.keywords import requested
-from cosim.model.driving import constant_of, driven, with_held, with_tables
+from cosim.model.driving import constant_of, driven, with_held, with_laws
 from cosim.model.inputs import InputSeries
 from cosim.model.quantities import quantity
 from cosim.model.values import number
 from cosim.trajectory import Trajectory
 
-MOST_SAMPLES = 1000  # of a table, each of which is an event
+_NEVER = 1e300  # s
 
 
 @dataclass(frozen=True)
@@ -133,10 +137,52 @@ def _following(dae: Dae, inputs: Mapping[str, Any], times: Vector) -> Dae:
     found = driven(dae, inputs, lambda: times)
     dae, series = found.dae, found.series
     if series is not None:
-        if len(series.time) > MOST_SAMPLES:
-            raise UsageError(
-                f"{dae.name}: a table of {len(series.time)} rows; a co-simulation takes up to "
-                f"{MOST_SAMPLES}; give a shorter one, or simulate the system as one model"
-            )
-        dae = with_tables(dae, series)
+        dae = _with_tables(dae, series)
     return requested(dae, start_values=found.constants).configured() if found.constants else dae
+
+
+def _with_tables(dae: Dae, series: InputSeries) -> Dae:
+    """Return what `driving.with_tables` does, with a few relations however many samples there are.
+
+    It is for equations without validity conditions, in which relations of time are no events.
+    """
+    lines = zip(series.names, _lines_through(series, dae.t), strict=True)
+    return with_laws(dae, tuple((name, partial(_as_it_is, line)) for name, line in lines))
+
+
+def _as_it_is(line: SX, _: SX) -> SX:
+    return line
+
+
+def _lines_through(series: InputSeries, t: SX) -> list[SX]:
+    """Return the lines between samples as expressions of time, one for each column.
+
+    A relation for each digit finds the number of samples that have been, of which the tables of
+    times, and of values and slopes, are functions. It jumps, so that their slopes are 0. The digits
+    are those of a Gray code: one changes at a sample. The tables differ in their numbers of
+    results, as nothing else tells functions apart that equations call.
+    """
+    flat = (np.diff(series.values, axis=0) == 0).all(axis=1)
+    needed = ~np.concatenate(([False], flat[1:] & flat[:-1], [False]))
+    time, values = series.time[needed], series.values[needed]
+    n, m = values.shape
+    gaps = np.diff(time)[:, None]
+    slopes = np.divide(np.diff(values, axis=0), gaps, out=np.zeros((n - 1, m)), where=gaps > 0)
+    slopes = np.pad(slopes, ((1, 1), (0, 0)))  # before the first sample, and after the last one
+    begins, ends = time[[0, *range(n)]], np.append(time, _NEVER)
+    number, sign, digit = SX(0), SX(1), 1 << n.bit_length()
+    spans = _table("spans", np.column_stack((begins, ends)), digit)
+    rows = _table("rows", np.column_stack((begins, values[[0, *range(n)]], slopes)), digit)
+    while digit := digit // 2:
+        ahead = sign * (t - spans(number + digit - 1)[1])
+        passed = (1 - sign) / 2 + sign * (ahead >= 0)
+        number, sign = number + digit * passed, 1 - 2 * passed
+    row = rows(number)
+    return [row[1 + i] + row[1 + m + i] * (t - row[0]) for i in range(m)]
+
+
+def _table(name: str, rows: Vector, size: int) -> ca.Function:
+    """Return the rows (n, m) as a function of their number; the last one stands for all others."""
+    every = np.pad(rows, ((0, size - len(rows)), (0, 0)), mode="edge")
+    numbers, options = list(range(size)), {"lookup_mode": ["exact"]}
+    return ca.interpolant(name, "linear", [numbers], every.ravel().tolist(), options)

@@ -192,7 +192,7 @@ class System:
                 the name of a connector: numbers in the variable's unit, or texts with a unit.
             inputs: Of parts or of the whole system, by name: a formula of time ("2*sin(3*t)"), a
                 function of time, samples at the output times (n,), an `InputSeries`, or a number;
-                or what `read_inputs` returns. Jumps and kinks are events. At most 1000 samples.
+                or what `read_inputs` returns. Jumps and kinks end macro steps.
             outputs: Names to record, `part.variable` or an output of the whole system; all outputs
                 and connected inputs when None.
             threads: Whether parts step at the same time, a thread each, with equal results; their
