@@ -61,7 +61,7 @@ static void *slide(void *unused) {
     }
     const bool decided[MODES + 1] = {0};
     bool zero[MODES + 1] = {0};
-    assert(settle(&laws, &switching, &at, zero, decided).reason == GOES_ON);
+    assert(settle(&laws, &switching, &at, zero, decided, NULL).reason == GOES_ON);
     for (int i = 0; i < MODES; i++) assert(fabs(u[i] - load(i)) < 1e-15);
     return unused;
 }

@@ -219,7 +219,7 @@ static inline Ending new_values(const Laws *laws, const Decision *at, const bool
 
 /* Assigns what the rules that happen say; arguments that this moves are no longer 0. */
 static inline Ending assign(const Laws *laws, Switching *s, const Point *at, const Decision *rules,
-                            const bool risen[], double x[], bool zero[]) {
+                            const bool risen[], double x[], bool zero[], bool moved[]) {
     double assigned[NX + 1];
     Seen was, is;
     Decision after;
@@ -238,6 +238,7 @@ static inline Ending assign(const Laws *laws, Switching *s, const Point *at, con
     }
     for (int i = 0; i < MODES; i++) {
         const bool same = is.arguments[i] == was.arguments[i];
+        moved[i] = !same;
         zero[i] = same && (zero[i] || s->state[i] == SLIDES);
         if (s->state[i] == SLIDES) {
             s->state[i] = FREE;
@@ -282,7 +283,7 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
     bool happened[EVENTS + 1] = {0};
     for (;;) {
         Decision rules;
-        bool risen[EVENTS + 1] = {0};
+        bool risen[EVENTS + 1] = {0}, moved[MODES + 1] = {0};
         if (!decide(laws, s, at, &rules)) return ending(NO_VALUE, -1);
         const bool any = find_risen(laws, s->conditions, rules.conditions, risen);
         memcpy(s->conditions, rules.conditions, EVENTS * sizeof *s->conditions);
@@ -295,8 +296,8 @@ static inline Ending iterate(const Laws *laws, Switching *s, const Point *at, do
             found->happened[found->count++] = i;
         }
         if (listener) listener->note(listener->listener, at, risen);
-        Ending ends = assign(laws, s, at, &rules, risen, x, zero);
-        if (ends.reason == GOES_ON) ends = settle(laws, s, at, zero, later);
+        Ending ends = assign(laws, s, at, &rules, risen, x, zero, moved);
+        if (ends.reason == GOES_ON) ends = settle(laws, s, at, zero, later, moved);
         for (int i = 0; i < EVENTS && ends.reason == GOES_ON; i++)
             if (risen[i] && laws->rules[i].ends) ends = ending(STOPPED, i);
         if (ends.reason == STOPPED) s->stopped = 1;
@@ -319,7 +320,7 @@ static inline Ending settle_by_value(const Laws *laws, Switching *s, const Point
     bool zero[MODES + 1] = {0}, decided[MODES + 1] = {0}, reached[MODES + 1];
     if (find_switched(laws, s, at, -1, later, zero, decided, reached) < 0)
         return ending(NO_VALUE, -1);
-    return settle(laws, s, at, zero, decided);
+    return settle(laws, s, at, zero, decided, NULL);
 }
 
 /* All that happens at a point; `crossing` is the relation whose argument is 0 there, or -1; those
@@ -346,7 +347,7 @@ static inline void happen(const Laws *laws, Switching *s, const Point *at, doubl
     const bool timed = s->next <= t && s->next != NOT_PLANNED;
     if (timed) s->reached = t;
     const double way = find_switched(laws, s, at, crossing, later, zero, decided, found->zero);
-    found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided);
+    found->ending = way < 0 ? ending(NO_VALUE, -1) : settle(laws, s, at, zero, decided, NULL);
     if (found->ending.reason == GOES_ON)
         found->ending = iterate(laws, s, at, x, later, zero, listener, found);
     if (found->ending.reason != GOES_ON && found->ending.reason != STOPPED) return;

@@ -262,25 +262,28 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
     }
 }
 
-/* Adds arguments of known rates that only rounding keeps within their modes to those that are 0. */
+/* Adds arguments that new values have moved to where only rounding keeps them within their modes to
+ * those that are 0, if their rates are known; importers locate events with larger errors. */
 static inline void note_passing(const Laws *laws, const Switching *s, const Point *at,
-                                const Seen *seen, bool zero[]) {
+                                const Seen *seen, const bool moved[], bool zero[]) {
     double inside[MODES + 1], rates[MODES + 1];
     measure(laws, s, modes_of(at), seen, inside, rates);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         const bool known = !relation->of_time && !(laws->blind && relation->moved);
-        const bool passes = inside[i] >= 0 && is_passing(s, at->t, i, inside[i], rates[i]);
-        zero[i] = zero[i] || (known && passes);
+        const bool rounded = inside[i] >= 0 && (laws->blind || inside[i] <= 2 * s->slack[i]);
+        const bool passes = rounded && is_passing(s, at->t, i, inside[i], rates[i]);
+        zero[i] = zero[i] || (moved[i] && known && passes);
     }
 }
 
 /* Finds modes that are consistent with what follows.
  *
  * zero: relations whose arguments are 0, whatever rounding makes of them; more may be found.
- * decided: relations that keep their modes although their arguments are 0. */
+ * decided: relations that keep their modes although their arguments are 0.
+ * moved: relations whose arguments new values have moved; NULL: none. */
 static inline Ending settle(const Laws *laws, Switching *s, const Point *at, bool zero[],
-                            const bool decided[]) {
+                            const bool decided[], const bool moved[]) {
     bool kept[MODES + 1] = {0}; /* as released, where others slide instead */
     Seen seen, before;
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
@@ -290,7 +293,7 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
         if (trial > 0) note_jumps(s, &before, &seen, zero);
-        note_passing(laws, s, at, &seen, zero);
+        if (moved) note_passing(laws, s, at, &seen, moved, zero);
         before = seen;
         bool changed = release(s, modes_of(at), zero, kept);
         const bool back = trial > 2 * MODES && trial % 2 != 0; /* breaks cycles */
@@ -334,7 +337,7 @@ static inline Ending begin_modes(const Laws *laws, Switching *s, const Point *at
     /* arguments may hold the modes of others, most of them of relations before them */
     for (int i = 1; i <= MODES; i++) guess_modes(laws, at, i);
     guess_modes(laws, at, MODES);
-    return settle(laws, s, at, zero, decided);
+    return settle(laws, s, at, zero, decided, NULL);
 }
 
 #endif
