@@ -218,6 +218,17 @@ def test_values_of_formulas_with_units_have_the_unit_of_their_input(text, accept
             formula.expression("a test", text, SYMBOLS, units)
 
 
+def test_min_is_a_function_and_no_minute():
+    assert value("3rad/s*min(t, 1)", 0.5) == value("3rad/s*max(t, 0.5)", 0.5) == 1.5
+    assert value("3rad/min*20", 0.5) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("text", ["10*(t > 1)", "2*(t > 1 and t < 2)"])
+def test_condition_as_a_factor_names_where(text):
+    with pytest.raises(ParameterError, match=r"' is no number; write where\(t > 1, 2, 0\)"):
+        value(text)
+
+
 def test_an_angle_cannot_reach_a_length():
     with pytest.raises(ParameterError, match="in 'phi > 3m', phi is in rad, but 3m in m; combine"):
         cosim.simulate("bicycle", stop_when="phi > 3m")

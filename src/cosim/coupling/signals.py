@@ -81,9 +81,10 @@ class Signals:
             ]
             if switched:
                 held[text] = partial(_number_for, owner, switched)
+            constant = None if switched else constant_of(text, law, unit, units)
+            unit = unit if parse_unit(unit) else "1"
             symbol = model.input(f"u{len(laws)}", unit, 0.0, text)
             model.output(f"y{len(laws)}", unit, symbol, text)
-            constant = None if switched else constant_of(text, law, unit, units)
             laws[text] = law if constant is None else constant
             source = name, f"{text}_signal"
             wires += [Connection(end.variable, source, end.factor, end.offset) for end in ends]
@@ -115,7 +116,7 @@ def _driven(
         variable = parts[part].variable(own)
         if not variable.is_input:
             raise UsageError(f"{owner}: {name} is no input; formulas and tables drive inputs")
-    return unit if unit and parse_unit(unit) else "1", units, ends
+    return unit or "1", units, ends
 
 
 def _number_for(owner: str, ends: Sequence[tuple[End, Variable]], value: object) -> float:

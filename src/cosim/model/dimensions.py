@@ -60,11 +60,7 @@ class Dimensions:
         for name in ("", *names) if with_units else ():
             unit = parse_unit(self.units.get(name, ""))
             if unit is not None and not unit.is_si:
-                raise ParameterError(
-                    f"{self.owner}: '{self.text}' has numbers with units, which become SI values, "
-                    f"but {name or 'the result'} is in {self.units[name]}; write all numbers "
-                    "without units"
-                )
+                raise mixed_units(self.owner, self.text, name or "the result", self.units[name])
         found, wanted = self.of(tree), self.units.get("", "")
         if with_units and not _fit(found, _of_unit(wanted)):
             raise self.refusal(f"the unit of the result is {_unit(found)} instead of {wanted}")
@@ -161,6 +157,14 @@ class Dimensions:
             f"{self.owner}: in '{self.text}', {reason}; combine quantities of one kind, or write a "
             "factor without a unit, as in 1*x, which may have any"
         )
+
+
+def mixed_units(owner: str, text: str, name: str, unit: str) -> ParameterError:
+    """Return an error of a formula with numbers in SI units and a variable in another unit."""
+    return ParameterError(
+        f"{owner}: '{text}' has numbers with units, which become SI values, but {name} is in "
+        f"{unit}; write all numbers without units"
+    )
 
 
 def _parts(node: ast.expr) -> tuple[set[str], bool]:

@@ -15,11 +15,12 @@ from casadi import SX
 from casadi_models.dae import Dae, Model, Variable
 from casadi_models.dae.starts import reject_disorder
 from casadi_models.dae.variables import is_name
-from casadi_models.units import Unit
+from casadi_models.units import Unit, parse_unit
 from cosim.arrays import Vector, reals
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.memo import cached_per_thread
-from cosim.model.formula import expression
+from cosim.model.dimensions import mixed_units
+from cosim.model.formula import expression, quoted
 from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 from cosim.model.switching import switch_times
@@ -279,7 +280,8 @@ def constant_of(
     """Return the number of a text such as `2 N*m`; None for a formula, and what is no text.
 
     Raises:
-        ParameterError: Its unit does not fit; see `quantity`.
+        ParameterError: Its unit does not fit; see `quantity`. Or a formula has numbers with units,
+            and the unit is none of SI that is known.
     """
     if not isinstance(value, str):
         return None
@@ -287,6 +289,9 @@ def constant_of(
         quantity(name, value, "1", definitions=definitions)
     except ParameterError as error:
         if "cannot be converted" not in str(error):
+            own = (definitions or {}).get(unit) or parse_unit(unit)
+            if (own is None or not own.is_si) and quoted(name, value) != value:
+                raise mixed_units(name, value, "the result", unit) from None
             return None
     return quantity(name, value, unit, definitions=definitions)
 

@@ -109,8 +109,7 @@ def _parsed(owner: str, text: str, names: Container[str]) -> ast.expr:
     """Return the tree of a formula, in which numbers with a unit are texts."""
     if not isinstance(text, str):
         raise ParameterError(f"{owner}: {text!r} is no formula; give a text, e.g. '10*sin(t)'")
-    plain = NUMBER_WITH_UNIT.sub(lambda match: _quoted(owner, match, names), text)
-    plain = plain.replace("^", "**")  # ^ would bind less than +
+    plain = quoted(owner, text, names).replace("^", "**")  # ^ would bind less than +
     try:
         with _shallow(owner, text):
             return ast.parse(plain.strip(), mode="eval").body
@@ -124,6 +123,15 @@ def _parsed(owner: str, text: str, names: Container[str]) -> ast.expr:
         ) from None
 
 
+def quoted(owner: str, text: str, names: Container[str] = ()) -> str:
+    """Return a formula with its numbers with a unit in quotes.
+
+    Raises:
+        ParameterError: One of them can be read in two ways.
+    """
+    return NUMBER_WITH_UNIT.sub(lambda match: _quoted(owner, match, names), text)
+
+
 def _quoted(owner: str, match: re.Match[str], names: Container[str]) -> str:
     """Return a number with a unit in quotes; the longest matching unit is taken.
 
@@ -133,10 +141,11 @@ def _quoted(owner: str, match: re.Match[str], names: Container[str]) -> str:
     number, unit = match[1], match[2]
     for end in range(len(unit), 0, -1):
         rest = unit[end:]
-        if parse_unit(unit[:end]) is None or (rest and rest[0].isalnum()):
+        after = (rest + match.string[match.end() :]).lstrip()
+        is_function = after.startswith("(")  # min, not the minute
+        if parse_unit(unit[:end]) is None or is_function or (rest and rest[0].isalnum()):
             continue
         _, *factors = re.findall(r"[A-Za-z\u00b0\u03a9]+", unit[:end])
-        after = (rest + match.string[match.end() :]).lstrip()
         is_difference = "-" in re.sub(r"[*^]-", "", unit[:end])
         is_power = after.startswith(("^", "**"))
         if is_difference or is_power or any(name in names for name in factors):
@@ -238,6 +247,10 @@ class _Reader:
         if isinstance(called, ast.Attribute) and called.attr in _FUNCTIONS:
             remedy = f"write {called.attr}(...) instead of {ast.unparse(called)}(...)"
             return ParameterError(f"{self.owner}: '{self.text}' is not understood; {remedy}")
+        if isinstance(node, ast.Compare | ast.BoolOp):
+            return ParameterError(
+                f"{self.owner}: '{shown(node)}' in '{self.text}' is no number; {_CHOOSE}"
+            )
         return ParameterError(
             f"{self.owner}: '{shown(node)}' in '{self.text}' is not understood; use numbers, "
             f"names, + - * / ^ and {', '.join(_FUNCTIONS)}"

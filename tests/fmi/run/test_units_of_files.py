@@ -8,7 +8,7 @@ from helpers.fmu_files import with_description
 
 import cosim
 from cosim.cli.main import main
-from cosim.errors import UnknownName
+from cosim.errors import ParameterError, UnknownName
 from cosim.study.fit.subject import FmuSubject
 
 
@@ -50,6 +50,27 @@ def test_constant_input_may_have_a_unit_of_the_file(with_gallons):
     system = cosim.couple({"a": with_gallons}, {})
     run = system.simulate(inputs={"a.volume": "1 gal"}, stop_time=0.5, macro_step=0.5)
     assert run["a.filled"][-1] == pytest.approx(0.00454609, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["1m^3*(1 + 0*t)", "where(t < 1s, 2, 3)"])
+def test_formula_with_units_is_none_in_a_unit_of_the_file_that_is_not_si(oven, law):
+    def define(root):
+        unit = ET.SubElement(root.find("UnitDefinitions"), "Unit", name="barrel")
+        ET.SubElement(unit, "BaseUnit", m="3", factor="0.158987294928")
+        (volume,) = root.findall("ModelVariables/ScalarVariable[@name='volume']")
+        volume[0].set("unit", "barrel")
+
+    path = with_description(oven, oven.with_name("barrels.fmu"), define)
+    system = cosim.couple({"a": path}, {})
+    span = {"stop_time": 0.5, "macro_step": 0.5}
+    for call in (
+        lambda law: cosim.simulate_fmu(path, inputs={"volume": law}, stop_time=0.5)["filled"],
+        lambda law: system.simulate(inputs={"a.volume": law}, **span)["a.filled"],
+    ):
+        assert call("2e1*t")[-1] == pytest.approx(10.0)
+        assert call("1m^3")[-1] == pytest.approx(1 / 0.158987294928)
+        with pytest.raises(ParameterError, match="is in barrel; write all numbers without units"):
+            call(law)
 
 
 @pytest.mark.parametrize("header", ["time,load\ns,%", "time,load [%]"])
