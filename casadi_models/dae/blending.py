@@ -30,9 +30,7 @@ def affine_in_modes(dae: Dae, modes: Collection[int], *, taken: bool = False) ->
         taken: Whether a branch that is not taken has no influence even where it has no value; the
             derivatives with respect to modes are then wrong.
     """
-    results = [dae.ode, dae.alg, dae.outputs]
-    function = ca.Function("laws", dae.arguments, results, {"cse": True})
-    symbols = [ca.vertsplit(argument) for argument in dae.arguments]
+    chosen = {dae.u[i].element_hash(): dae.u[i] for i in sorted(modes)}
 
     def operation(code: int, operands: list[tuple[SX, bool]]) -> tuple[SX, bool]:
         """Return a value, and whether it is a truth value of modes."""
@@ -45,14 +43,12 @@ def affine_in_modes(dae: Dae, modes: Collection[int], *, taken: bool = False) ->
             return _LOGIC[code](*terms), code != ca.OP_IF_ELSE_ZERO
         return applied(code, terms), False
 
-    found = replayed(
-        function,
-        lambda argument, row: (symbols[argument][row], argument == 3 and row in modes),
-        lambda value: (value, False),
-        operation,
-    )
-    columns = [column(value for value, _ in rows) for rows in found]
-    for mode in (symbols[3][i] for i in sorted(modes)):
+    laws = ca.cse(ca.vertcat(dae.ode, dae.alg, dae.outputs))
+    found = replayed(laws, lambda leaf: (leaf, leaf.element_hash() in chosen), operation)
+    nx, n = dae.ode.numel(), laws.numel()
+    ends = [0, nx, nx + dae.alg.numel(), n]
+    columns = ca.vertsplit(column(value for value, _ in found), ends)
+    for mode in chosen.values():
         columns = [_affine(laws, mode, taken) for laws in columns]
     ode, alg, outputs = columns
     return replace(dae, ode=ode, alg=alg, outputs=outputs)

@@ -1,6 +1,6 @@
 """What must be known of a CasADi expression before it may stand in a `Dae`."""
 
-from collections.abc import Collection, Container, Iterable, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Sequence
 from math import isfinite
 
 import casadi as ca
@@ -36,6 +36,32 @@ def share(columns: Sequence[SX]) -> list[SX]:
 def symbols(expression: SX) -> dict[int, str]:
     """Return the names of an expression's symbols under what identifies each of them."""
     return {symbol.element_hash(): symbol.name() for symbol in ca.symvar(expression)}
+
+
+Node = tuple[int, SX, list[int]]  # its hash, itself, and the hashes of its operands
+
+
+def in_postorder(roots: Sequence[SX], *, leftmost_first: bool = False) -> Iterator[Node]:
+    """Yield every node of expressions once, after its operands.
+
+    Args:
+        roots: The expressions, (1, 1) each.
+        leftmost_first: Whether operands follow in their order, as in functions of CasADi, and not
+            the last one first.
+    """
+    seen = set[int]()
+    waiting = [(root.element_hash(), root, list[int](), False) for root in reversed(roots)]
+    while waiting:
+        key, node, keys, ready = waiting.pop()
+        if ready:
+            yield key, node, keys
+        elif key not in seen:
+            seen.add(key)
+            operands = [node.dep(i) for i in range(node.n_dep())]
+            keys = [operand.element_hash() for operand in operands]
+            waiting.append((key, node, keys, True))
+            later = [(k, own, list[int](), False) for k, own in zip(keys, operands, strict=True)]
+            waiting += later[::-1] if leftmost_first else later
 
 
 def reject_faulty(rows: Collection[tuple[str, SX]], known: SX, allowed: str) -> None:

@@ -436,9 +436,6 @@ def hybrid(dae: Dae) -> Hybrid | None:
 
     Relations that depend on parameters alone, and those in `Model.smooth`, stay as they are, and so
     do those that only validity conditions and outputs have which drive no other model.
-
-    Raises:
-        ValueError: The equations call several functions of equal sizes.
     """
     driving = dae.driving_outputs
     if operations(ca.vertcat(dae.ode, dae.alg, driving)).isdisjoint(RELATIONS) and not dae.events:

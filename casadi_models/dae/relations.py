@@ -6,12 +6,19 @@ The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.da
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import RELATIONS, column, operations
+from casadi_models.dae.expressions import (
+    RELATIONS,
+    Node,
+    column,
+    in_postorder,
+    operations,
+    symbols,
+)
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.variables import Variable
 
@@ -78,117 +85,63 @@ def mode_count(dae: Dae) -> int:
 
 
 class LawsWithModes:
-    """The laws of a model, rebuilt operation by operation with modes for relations."""
+    """The laws of a model, rebuilt operation by operation with modes for relations.
+
+    Attributes:
+        results: The laws and the others.
+        relations, modes: What their modes stand for, and the symbols of these.
+    """
 
     def __init__(self, laws: Sequence[SX], others: Sequence[SX], dae: Dae) -> None:
         self._switches = list[tuple[Relation, SX]]()
         self._domains = list[tuple[Relation, SX]]()
-        smooth = ca.vertcat(SX(0, 1), *dae.smooth)
-        columns = [*laws, *others, smooth]
-        symbols = [*dae.arguments]
-        self._function = ca.Function("laws", symbols, columns, {"cse": True})
-        self._symbols = [ca.vertsplit(column) for column in symbols]
-        self._read(len(laws), len(columns) - 1)
-        sizes = [column.numel() for column in columns[:-1]]
-        self.results = self._rebuilt(sizes)
+        *columns, smooth = map(ca.vertsplit, ca.cse([*laws, *others, column(dae.smooth)]))
+        roots = [row for rows in (*columns, smooth) for row in rows]
+        nodes = list(in_postorder(roots, leftmost_first=True))
+        in_laws = _parts_of([row for rows in columns[: len(laws)] for row in rows], nodes)
+        in_laws -= _parts_of(smooth, nodes)
+        changes, constant = set[int](), symbols(dae.p)
+        for key, value, keys in nodes:
+            if changes.intersection(keys) or (value.is_symbolic() and key not in constant):
+                changes.add(key)
+        codes = {key: value.op() for key, value, keys in nodes if keys and key in in_laws & changes}
+        self._events = {key for key, code in codes.items() if code in RELATIONS}
+        bounded = {key for key, code in codes.items() if code in _BOUNDED}
+        self._bounded = bounded & self._near_events(nodes)
+        forms = dict[int, Any]()
+        for key, value, keys in nodes:
+            forms[key] = self._rebuilt(key, value, [forms[k] for k in keys])
+        self.results = [column(forms[row.element_hash()] for row in rows) for rows in columns]
         pairs = [*self._switches, *self._domains]  # domains follow from the other modes
         self.relations = [relation for relation, _ in pairs]
         self.modes = [mode for _, mode in pairs]
 
-    def _read(self, laws: int, smooth: int) -> None:
-        """Read the instructions: operands, whether they change, and which are in the laws."""
-        function = self._function
-        # by place of the work vector: the instruction that wrote there, and which of its results
-        place: dict[int, tuple[int, int]] = {}
-        self._codes, self._operands = list[int](), list[list[tuple[int, int]]]()
-        changes, wanted, literal = list[bool](), set[int](), set[int]()
-        self._targets: dict[tuple[int, int], tuple[int, int]] = {}
-        for k in range(function.n_instructions()):
-            code, given = function.instruction_id(k), function.instruction_input(k)
-            operands = [] if code in (ca.OP_INPUT, ca.OP_CONST) else [place[i] for i in given]
-            self._codes.append(code)
-            self._operands.append(operands)
-            if code == ca.OP_OUTPUT:
-                output, row = function.instruction_output(k)
-                self._targets[output, row] = operands[0]
-                if output < laws:
-                    wanted.add(operands[0][0])
-                if output == smooth:
-                    literal.add(operands[0][0])
-                changes.append(False)
-                continue
-            for part, i in enumerate(function.instruction_output(k)):
-                place[i] = (k, part)
-            parameter = code == ca.OP_INPUT and given[0] == 4
-            changes.append(
-                not parameter if code == ca.OP_INPUT else any(changes[i] for i, _ in operands)
-            )
-        for k in range(len(self._codes) - 1, -1, -1):  # what a law depends on is in it
-            if k in wanted:
-                wanted.update(i for i, _ in self._operands[k])
-            if k in literal:
-                literal.update(i for i, _ in self._operands[k])
-        self._events = {
-            k
-            for k in wanted - literal
-            if changes[k] and self._codes[k] in RELATIONS
-        }  # fmt: skip
-        self._bounded = self._near_events(wanted - literal, changes)
+    def _near_events(self, nodes: Sequence[Node]) -> set[int]:
+        """Return the operations that modes guard, or that depend on modes."""
+        switched, guarded = set(self._events), set[int]()
+        for key, _, keys in nodes:
+            if switched.intersection(keys):
+                switched.add(key)
+        for key, value, keys in reversed(nodes):
+            if value.op() == ca.OP_IF_ELSE_ZERO and keys[0] in switched:
+                guarded.add(keys[1])
+            elif key in guarded:
+                guarded.update(keys)
+        return switched | guarded
 
-    def _near_events(self, laws: set[int], changes: Sequence[bool]) -> set[int]:
-        """Return the bounded operations of the laws that modes guard, or depend on modes."""
-        switched, guarded = set[int](), set[int]()
-        for k, operands in enumerate(self._operands):
-            if k in self._events or any(i in switched for i, _ in operands):
-                switched.add(k)
-        for k in range(len(self._codes) - 1, -1, -1):
-            operands = self._operands[k]
-            if self._codes[k] == ca.OP_IF_ELSE_ZERO and operands[0][0] in switched:
-                guarded.add(operands[1][0])
-            elif k in guarded:
-                guarded.update(i for i, _ in operands)
-        return {
-            k
-            for k in laws & (switched | guarded)
-            if self._codes[k] in _BOUNDED and any(changes[i] for i, _ in self._operands[k])
-        }
-
-    def _rebuilt(self, sizes: Sequence[int]) -> list[SX]:
-        function, values = self._function, list[list[SX]]()
-        for k, (code, operands) in enumerate(zip(self._codes, self._operands, strict=True)):
-            terms = [values[i][part] for i, part in operands]
-            if code == ca.OP_INPUT:
-                argument, row = function.instruction_input(k)
-                values.append([self._symbols[argument][row]])
-            elif code == ca.OP_CONST:
-                values.append([SX(function.instruction_constant(k))])
-            elif code == ca.OP_OUTPUT:
-                values.append([])
-            elif code == ca.OP_CALL:
-                values.append(self._called(terms, len(function.instruction_output(k))))
-            elif k in self._events:
-                values.append([self._switched(code, terms)])
-            elif k in self._bounded:
-                values.append([self._continued(code, terms)])
-            else:
-                values.append([applied(code, terms)])
-        rows = [[self._targets[output, row] for row in range(n)] for output, n in enumerate(sizes)]
-        return [column(values[k][part] for k, part in places) for places in rows]
-
-    def _called(self, terms: Sequence[SX], results: int) -> list[SX]:
-        """Return the results of a function that the laws call.
-
-        Raises:
-            ValueError: Several functions have these sizes, and CasADi does not tell which it is.
-        """
-        fitting = [
-            f
-            for f in self._function.find_functions(0)
-            if f.nnz_in() == len(terms) and f.nnz_out() == results
-        ]
-        if len(fitting) != 1:
-            raise ValueError("equations that call several functions of equal sizes have no events")
-        return called(fitting[0], terms)
+    def _rebuilt(self, key: int, value: SX, terms: list[Any]) -> Any:
+        """Return an operation on rebuilt terms; of a function that is called, all its results."""
+        if not terms:
+            return value
+        if value.is_call():
+            return called(value.which_function(), terms)
+        if value.is_output():
+            return terms[0][value.which_output()]
+        if key in self._events:
+            return self._switched(value.op(), terms)
+        if key in self._bounded:
+            return self._continued(value.op(), terms)
+        return applied(value.op(), terms)
 
     def _switched(self, code: int, terms: Sequence[SX]) -> SX:
         """Return a relation with a mode, or several, in its place."""
@@ -262,6 +215,15 @@ class LawsWithModes:
         return mode
 
 
+def _parts_of(roots: Sequence[SX], nodes: Sequence[Node]) -> set[int]:
+    """Return what some roots depend on, with these, of nodes in the order of evaluation."""
+    found = {root.element_hash() for root in roots}
+    for key, _, keys in reversed(nodes):
+        if key in found:
+            found.update(keys)
+    return found
+
+
 def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
     """Return the nonzeros of all results of a function, from those of all arguments."""
     ends = accumulate((function.nnz_in(i) for i in range(function.n_in())), initial=0)
@@ -282,33 +244,19 @@ _Value = TypeVar("_Value")
 
 
 def replayed(
-    function: ca.Function,
-    symbol: Callable[[int, int], _Value],
-    constant: Callable[[SX], _Value],
-    operation: Callable[[int, list[_Value]], _Value],
-) -> list[list[_Value]]:
-    """Return the values of the rows of each result of a function, from its instructions.
+    rows: SX, leaf: Callable[[SX], _Value], operation: Callable[[int, list[_Value]], _Value]
+) -> list[_Value]:
+    """Return the values of the rows of a column, from its graph.
 
     Args:
-        function: An `SX` function with dense results.
-        symbol: Returns the value of a symbol, from its argument and its row.
-        constant: Returns that of a constant.
+        rows: (n, 1).
+        leaf: Returns the value of a symbol or a constant.
         operation: Returns that of an operation, from CasADi's code of it and its operands.
     """
-    work = dict[int, _Value]()
-    rows = [[constant(SX(0))] * function.numel_out(i) for i in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        code, given = function.instruction_id(k), function.instruction_input(k)
-        to = function.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            rows[to[0]][to[1]] = work[given[0]]
-        elif code == ca.OP_INPUT:
-            work[to[0]] = symbol(*given)
-        elif code == ca.OP_CONST:
-            work[to[0]] = constant(SX(function.instruction_constant(k)))
-        else:
-            work[to[0]] = operation(code, [work[i] for i in given])
-    return rows
+    values, every = dict[int, _Value](), ca.vertsplit(ca.densify(rows))
+    for key, node, keys in in_postorder(every):
+        values[key] = operation(node.op(), [values[k] for k in keys]) if keys else leaf(node)
+    return [values[row.element_hash()] for row in every]
 
 
 def term_sizes(laws: SX) -> SX:
@@ -317,8 +265,6 @@ def term_sizes(laws: SX) -> SX:
     Rounding of a row is relative to them, not to its value. What a function other than a sum, a
     product or a quotient makes of terms has the size of its value.
     """
-    given = ca.symvar(laws)
-    function = ca.Function("laws", given, [ca.densify(laws)], {"cse": True})
     if ca.OP_CALL in operations(laws):
         return ca.fabs(laws)
 
@@ -345,7 +291,5 @@ def term_sizes(laws: SX) -> SX:
                 return value, ca.if_else(values[0], sizes[1], 0)
         return value, ca.fabs(value)
 
-    rows = replayed(
-        function, lambda i, _: (given[i], ca.fabs(given[i])), lambda c: (c, ca.fabs(c)), operation
-    )[0]
+    rows = replayed(ca.cse(laws), lambda leaf: (leaf, ca.fabs(leaf)), operation)
     return column(size for _, size in rows)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import column, symbols
+from casadi_models.dae.expressions import column, in_postorder, symbols
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import Mode, mode_count
 
@@ -176,20 +176,3 @@ def _combined(value: SX, operands: Sequence[_Node]) -> _Node:
     node = _Node(value, moving, (), is_local, tuple(inner.values()))
     terms = tuple(term for operand in operands for term in operand.terms)
     return node._replace(terms=terms if code in SUMS else (node,))
-
-
-def in_postorder(roots: Sequence[SX]) -> Iterator[tuple[int, SX, list[int]]]:
-    """Yield every node of expressions once, after its operands: its hash, itself, their hashes."""
-    seen = set[int]()
-    waiting = [(root.element_hash(), root, list[int](), False) for root in reversed(roots)]
-    while waiting:
-        key, node, keys, ready = waiting.pop()
-        if ready:
-            yield key, node, keys
-        elif key not in seen:
-            seen.add(key)
-            operands = [node.dep(i) for i in range(node.n_dep())]
-            keys = [operand.element_hash() for operand in operands]
-            waiting.append((key, node, keys, True))
-            pairs = zip(keys, operands, strict=True)
-            waiting += [(k, operand, [], False) for k, operand in pairs]

@@ -104,7 +104,7 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
         rows = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        spans = _spans(rows, dae.arguments, lambda _, t: _Span(t, t + length, stays=False))
+        spans = _spans(rows, dae.t, lambda _, t: _Span(t, t + length, stays=False))
         if not spans:
             continue
         known.append(i)
@@ -129,7 +129,7 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     n = moving.numel()
     length = SX.sym("length")
     low, high, slowest, fastest = (SX.sym(name, n) for name in ("l", "h", "s", "f"))
-    rates, stays = SX.sym("d", n), [column(inputs[free:]), dae.p]
+    rates = SX.sym("d", n)
     starts = ca.vertcat(dae.t, low, slowest)
     ends = ca.vertcat(dae.t + length, high, fastest)
     known, found = list[int](), list[_Span]()
@@ -138,10 +138,9 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
         if ca.depends_on(value, dae.z) or operations > _MOST_OPERATIONS:
             continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
-        rows, given = ca.vertcat(value, rate), ca.vertcat(dae.t, moving, rates)
         spans = _spans(
-            ca.densify(rows),
-            [given, *stays],
+            ca.vertcat(value, rate),
+            ca.vertcat(dae.t, moving, rates),
             lambda row, _: _Span(starts[row], ends[row], stays=False),
         )
         if not spans:
@@ -157,22 +156,20 @@ def limit_enclosures(dae: Dae, modes: int = 0) -> Enclosures:
     return enclosures(dae, dict(enumerate(margin for margin, _ in dae.limits)), modes)
 
 
-def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tuple[SX, SX] | None:
+def bounds_along(value: SX, moving: SX, length: SX) -> tuple[SX, SX] | None:
     """Return how far an expression may be from a line; None where no rule tells it.
 
     Args:
         value: An expression, (1, 1).
         moving: The symbol that goes from its value on over a length.
-        others: Columns of symbols that stay.
         length: Symbol of the length.
 
     Returns:
         The bound by its second derivative, and that by its values; both hold, but for NaN.
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
-    rows = ca.densify(ca.vertcat(second, value))
-    symbols = [moving, *others]
-    spans = _spans(rows, symbols, lambda row, value: _moving(row, value, value + length))
+    rows = ca.vertcat(second, value)
+    spans = _spans(rows, moving, lambda row, value: _moving(row, value, value + length))
     if not spans:
         return None
     bend, around = spans
@@ -180,28 +177,26 @@ def bounds_along(value: SX, moving: SX, others: Sequence[SX], length: SX) -> tup
     return most * length**2 / 8, around.high - around.low
 
 
-def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX], p: SX) -> tuple[SX, SX] | None:
+def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX]) -> tuple[SX, SX] | None:
     """Return bounds of an expression; None where no rule tells them.
 
     Args:
         value: An expression, (1, 1).
-        moving: The symbols that move, (n, 1).
+        moving: The symbols that move, (n, 1); others stay.
         ends: Symbols of the least and greatest values of these, (n, 1) each.
-        p: Symbols that stay.
     """
     low, high = map(ca.vertsplit, ends)
-    spans = _spans(value, [moving, p], lambda row, _: _moving(row, low[row], high[row]))
+    spans = _spans(value, moving, lambda row, _: _moving(row, low[row], high[row]))
     return (spans[0].low, spans[0].high) if spans else None
 
 
-def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]) -> list[_Span]:
-    """Return the spans of a column from those of the rows of the first argument; [] if unknown."""
-    function = ca.Function("rows", list(arguments), [rows], {"cse": True})
-    symbols = [ca.vertsplit(column) for column in arguments]
+def _spans(rows: SX, symbols: SX, moving: Callable[[int, SX], _Span]) -> list[_Span]:
+    """Return the spans of a column from those of moving symbols; [] if they are unknown."""
+    places = {symbol.element_hash(): row for row, symbol in enumerate(ca.vertsplit(symbols))}
 
-    def symbol(argument: int, row: int) -> _Span:
-        known = symbols[argument][row]
-        return _constant(known) if argument else moving(row, known)
+    def leaf(node: SX) -> _Span:
+        place = places.get(node.element_hash())
+        return _constant(node) if place is None else moving(place, node)
 
     def operation(code: int, operands: list[_Span]) -> _Span:
         if code == ca.OP_CALL:
@@ -214,7 +209,7 @@ def _spans(rows: SX, arguments: Sequence[SX], moving: Callable[[int, SX], _Span]
         return _result(code, operands)._replace(terms=terms)
 
     try:
-        (spans,) = replayed(function, symbol, _constant, operation)
+        spans = replayed(ca.cse(rows), leaf, operation)
     except _UnknownError:
         return []
     return [_within_terms(span) for span in spans]

@@ -82,10 +82,7 @@ def _with_branches(column: SX) -> SX:
         a, b = terms
         return ca.if_else(a < b if code == ca.OP_FMIN else b < a, a, b)
 
-    symbols = ca.symvar(column)
-    function = ca.Function("f", symbols, [ca.densify(column)])
-    (rows,) = replayed(function, lambda i, _: symbols[i], lambda value: value, operation)
-    return ca.vertcat(SX(0, 1), *rows)
+    return ca.vertcat(SX(0, 1), *replayed(column, lambda leaf: leaf, operation))
 
 
 def _derived(

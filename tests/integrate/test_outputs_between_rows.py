@@ -133,13 +133,16 @@ def test_a_model_whose_equations_have_the_conditions_of_its_outputs_stays_as_it_
     assert with_switching(dae, ("force",)) is dae
 
 
-def test_a_model_whose_outputs_can_have_no_events_stays_as_it_is():
+def test_outputs_that_call_several_functions_of_equal_sizes_have_events():
     x = ca.MX.sym("x")
     tables = [ca.interpolant(name, "linear", [[0.0, 10.0]], [0.0, 1.0]) for name in "ab"]
-    outputs = {"y": ca.fmax(0, x - 1), "a": tables[0](x), "b": tables[1](x)}
+    outputs = {"y": ca.fmax(0, x - 0.505), "a": tables[0](x), "b": tables[1](x)}
     dae = cosim.from_casadi({"x": x, "ode": 1}, outputs=outputs, stop_time=1)
-    assert with_switching(dae, ("y", "a", "b")) is dae
-    assert cosim.simulate(dae).curves.extremes.high[3] == pytest.approx(0.1)
+    assert with_switching(dae, ("y", "a", "b")).driving == ("y",)
+    run = cosim.simulate(dae)
+    assert run.changes is not None
+    np.testing.assert_allclose(run.changes(), [0.505], rtol=1e-9)
+    assert run.curves.extremes.high[3] == pytest.approx(0.1)
 
 
 @pytest.mark.slow_rows("cvodes")

@@ -138,20 +138,14 @@ def _share_of(value: SX, state: SX) -> float | None:
     if not used:
         return 0.0
     own = state.element_hash()
-    given = ca.symvar(value)
 
     def operation(code: int, terms: list[float | None]) -> float | None:
         if code in _SUMS and None not in terms:
             return float(terms[0] or 0) + _SUMS[code] * float(terms[1] or 0)
         return 0.0 if all(term == 0 for term in terms) else None
 
-    found = replayed(
-        ca.Function("value", given, [ca.densify(value)]),
-        lambda argument, _: 1.0 if given[argument].element_hash() == own else 0.0,
-        lambda _: 0.0,
-        operation,
-    )
-    return found[0][0]
+    (share,) = replayed(value, lambda leaf: float(leaf.element_hash() == own), operation)
+    return share
 
 
 @cached_per_thread(16)

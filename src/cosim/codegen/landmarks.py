@@ -14,7 +14,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.expressions import at_irregular_place, column
+from casadi_models.dae.expressions import at_irregular_place, column, in_postorder
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
@@ -24,7 +24,6 @@ from casadi_models.dae.inner_terms import (
     is_table,
     parameters_of,
 )
-from casadi_models.dae.single_terms import in_postorder
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
@@ -250,7 +249,7 @@ def _reach(dae: Dae, term: InnerTerm, p: Vector) -> Vector:
     """Return the least and the greatest value of the variable of a term."""
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
-    bounds = bounds_within(term.variable, moving, ends, dae.p)
+    bounds = bounds_within(term.variable, moving, ends)
     if bounds is None:
         return np.array([-np.inf, np.inf])
     far = np.full(moving.numel(), _ANYWHERE)
@@ -268,7 +267,7 @@ def _bent(
     def values(at: Vector) -> Vector:
         return np.array(value(at[None], p)).ravel()
 
-    bounds = bounds_along(term.value, symbol, [dae.p], length)
+    bounds = bounds_along(term.value, symbol, length)
     if bounds is not None:
         off = ca.Function("beyond", [symbol, length, dae.p], list(bounds), {"cse": True})
 
@@ -325,7 +324,7 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
-    within = bounds_within(terms[0].value, symbols, ends, dae.p)
+    within = bounds_within(terms[0].value, symbols, ends)
     if within is None:
         return None if _calls_table(several.value) else found
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})

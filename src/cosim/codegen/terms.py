@@ -61,7 +61,7 @@ def terms_of(dae: Dae) -> tuple[Terms, ...]:
     found, length = list[Terms](), SX.sym("length")
     for moving, terms in single_terms(dae).items():
         s = ca.vertcat(dae.x, dae.t)[moving]
-        known = [bounds_along(term, s, [dae.p], length) for term in ca.vertsplit(terms)]
+        known = [bounds_along(term, s, length) for term in ca.vertsplit(terms)]
         rows = [bounds or (SX(0), SX(0)) for bounds in known]
         ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
         values = ca.Function("values", [s, dae.p], [terms], *_NAMES, {"cse": True})

@@ -59,7 +59,7 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
     for term in ca.vertsplit(column):
         symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
         name = ", ".join(symbol.name() for symbol in symbols)
-        bounds = bounds_within(term, moving, ends, dae.p)
+        bounds = bounds_within(term, moving, ends)
         if bounds is None:
             unbounded.append(name)
         else:

@@ -160,10 +160,7 @@ def with_switching(dae: Dae, names: tuple[str, ...]) -> Dae:
     if own <= {*dae.driving}:
         return dae
     switching = replace(dae, driving=tuple(sorted({*dae.driving, *own})))
-    try:
-        systems = hybrid(dae), hybrid(switching)
-    except ValueError:  # of functions that are called
-        return dae
+    systems = hybrid(dae), hybrid(switching)
     known, more = (0 if system is None else len(system.relations) for system in systems)
     return switching if more > known else dae
 

@@ -53,6 +53,22 @@ def test_interpolant_is_integrated_and_exported(plugin, tmp_path):
         assert run["x"][-1] == pytest.approx(exact, abs=1e-7)
 
 
+def test_equations_that_call_two_functions_of_equal_sizes_have_events(tmp_path):
+    x = MX.sym("x")
+    first, last = (
+        ca.interpolant(name, "linear", [[0.0, 10.0]], [0.0, height])
+        for name, height in (("first", 1.0), ("last", 2.0))
+    )
+    rate = ca.if_else(x < 0.5, 1 + first(x), 2 + last(x))
+    dae = cosim.from_casadi({"x": x, "ode": rate}, name="tables")
+    exact = 10.5 * np.exp((1 - 10 * np.log(1.05)) / 5) - 10
+    run = cosim.simulate(dae, solver="dop853", **END)
+    assert run["x"][-1] == pytest.approx(exact, rel=1e-10)  # before: ValueError
+    assert len(run.events) == 1
+    path = cosim.export_fmu(dae, tmp_path / "tables.fmu")
+    assert cosim.simulate_fmu(path, **END)["x"][-1] == pytest.approx(exact, rel=1e-9)
+
+
 TABLE = np.array([0.0, 0.5, 1.0, 2.0])
 SHIFT = np.arange(900.0).reshape(30, 30) % 7 + 50 * np.eye(30)
 

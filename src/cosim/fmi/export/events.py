@@ -41,7 +41,7 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     Their last outputs are the event indicators: how far each argument is within its mode.
 
     Raises:
-        UsageError: The equations cannot be frozen, or the model uses a reserved variable name.
+        UsageError: The model uses a reserved variable name.
     """
     system, passed = _frozen(dae)
     for name in passed:
@@ -56,10 +56,7 @@ def fmu_events(dae: Dae) -> Hybrid | None:
 @cached_per_thread(16)
 def _frozen(dae: Dae) -> tuple[Hybrid | None, tuple[str, ...]]:
     """Return what `fmu_events` does, and the names of terms that change in other places."""
-    try:
-        system = hybrid(dae)
-    except ValueError as error:
-        raise UsageError(f"{dae.full_name}: {error}; give one of them another size") from None
+    system = hybrid(dae)
     system = system.blended() if system else Hybrid(dae, (), (), ())
     places = landmarks(system.with_conditions())
     system = system.watching_more(places.arguments, "place")

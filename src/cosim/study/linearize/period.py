@@ -137,18 +137,16 @@ def _in_time(dae: Dae, values: Values, laws: SX) -> list[_InTime]:
     """Return how each law of a model depends on explicit time."""
     if ca.OP_CALL in operations(laws):
         return [_APERIODIC] * laws.numel()
-    function = ca.Function("laws", dae.arguments, [ca.densify(laws)], {"cse": True})
-    numbers = {3: values.u, 4: values.p}
+    known = ca.vertsplit(ca.vertcat(dae.u, dae.p)), (*values.u, *values.p)
+    numbers = {symbol.element_hash(): value for symbol, value in zip(*known, strict=True)}
 
-    def symbol(argument: int, row: int) -> _InTime:
-        if argument == 0:
-            return _InTime(None, 1.0, frozenset())
-        if argument in numbers:
-            return _number(numbers[argument][row])
-        return _InTime(None, 0.0, frozenset())
+    def leaf(node: SX) -> _InTime:
+        key = node.element_hash()
+        if node.is_constant() or key in numbers:
+            return _number(numbers[key] if key in numbers else float(node))
+        return _InTime(None, float(key == dae.t.element_hash()), frozenset())
 
-    (rows,) = replayed(function, symbol, lambda value: _number(float(value)), _result)
-    return rows
+    return replayed(ca.cse(laws), leaf, _result)
 
 
 def _number(value: float) -> _InTime:
