@@ -26,7 +26,8 @@ Laws laws_of(Instance *self) {
 /* Refuse what the kernel cannot go on from. */
 Status refuse_ending(Instance *self, Status severity, const Ending *why, const char *switched) {
     const double t = self->state.values[TIME];
-    const char *rule = why->part >= 0 ? rule_names[why->part] : switched;
+    const bool by_rule = why->part >= 0 && why->reason != NO_MODES;
+    const char *rule = by_rule ? rule_names[why->part] : switched;
     const char *state = why->state >= 0 ? variables[FIRST_STATE + why->state].name : "";
     switch (why->reason) {
     case NO_VALUE: return refuse(self, severity, "the event at %.12g s has no result", t);

@@ -183,5 +183,6 @@ def test_laws_without_consistent_modes_are_rejected_with_a_remedy(backend, tmp_p
     v, w = (model.state(name, "m/s", 0.0, "speed") for name in "vw")
     model.derivative(v, ca.sign(w))
     model.derivative(w, -ca.sign(v))
+    model.when(v > 9, {v: 0})  # before: IndexError, as the second relation has no event
     with pytest.raises(CosimError, match=r"no consistent modes at 0 s .*use a smooth law"):
         ran(model.freeze(), backend, tmp_path)

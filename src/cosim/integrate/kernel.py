@@ -4,7 +4,7 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,10 +221,15 @@ class Kernel:
         for name, values in (("x", at.x), ("z", at.z), ("u", at.inputs), ("slopes", at.slopes)):
             self._arrays[name][: len(values)] = values
 
+    def _ask(self, function: str, *arguments: Any) -> Any:
+        """Call a function of the library, which gets arrays by their addresses."""
+        given = (_PLACE(a.ctypes.data) if isinstance(a, np.ndarray) else a for a in arguments)
+        return getattr(self._library, function)(ctypes.byref(self._call), *given)
+
     def begin(self, at: Instant) -> Outcome:
         """Find the modes of a start, with a guess of its algebraic unknowns; see `after`."""
         self._pass(at)
-        self._library.cosim_begin(ctypes.byref(self._call))
+        self._ask("cosim_begin")
         return self._ending()
 
     def happen(
@@ -257,7 +262,7 @@ class Kernel:
         self._arrays["later"][:] = 0.0
         self._arrays["later"][list(later)] = 1.0
         self._call.note = _NOTE(note) if listener else _NOTE()
-        self._library.cosim_happen(ctypes.byref(self._call), _LONG(crossing))
+        self._ask("cosim_happen", _LONG(crossing))
         order, zero = self._arrays["order"][:-1], self._arrays["zero"][:-1]
         events = [i for _, i in sorted((n, i) for i, n in enumerate(order.tolist()) if n)]
         zeros = frozenset(np.flatnonzero(zero).tolist())
@@ -266,11 +271,11 @@ class Kernel:
     def note_rounding(self, at: Instant) -> None:
         """Take what rounding makes of slow relations at an instant."""
         self._pass(at)
-        self._library.cosim_note_least(ctypes.byref(self._call))
+        self._ask("cosim_note_least")
 
     def note_steps(self, t: float, steps: int) -> None:
         """Take that a solver which knows no events has rounded time in some steps up to a time."""
-        self._library.cosim_note_steps(ctypes.byref(self._call), _DOUBLE(t), _DOUBLE(steps))
+        self._ask("cosim_note_steps", _DOUBLE(t), _DOUBLE(steps))
 
     @property
     def left(self) -> Left:
@@ -286,13 +291,12 @@ class Kernel:
         """Plan the time events that follow an instant."""
         self._call.t = at.t
         self._arrays["u"][:-1] = at.inputs
-        self._library.cosim_plan(ctypes.byref(self._call), self._end)
+        self._ask("cosim_plan", self._end)
 
     @property
     def due(self) -> float:
         """The next time event of the run, s; infinite if there is none."""
-        due: float = self._library.cosim_due(ctypes.byref(self._call), self._end)
-        return due
+        return float(self._ask("cosim_due", self._end))
 
     def margins(self, arguments: Vector, rates: Vector, modes: Vector) -> tuple[Vector, Vector]:
         """Return how far each relation is within its mode, and the rate of that, (n, m) each.
@@ -304,8 +308,7 @@ class Kernel:
         each = arguments, rates, np.broadcast_to(modes, arguments.shape)
         rows = [np.ascontiguousarray(a) for a in each]
         inside, towards = np.empty_like(rows[0]), np.empty_like(rows[0])
-        places = (_PLACE(a.ctypes.data) for a in (*rows, inside, towards))
-        self._library.cosim_margins(ctypes.byref(self._call), _LONG(len(inside)), *places)
+        self._ask("cosim_margins", _LONG(len(inside)), *rows, inside, towards)
         return inside, towards
 
     def leaving(self, times: Vector, inside: Vector, towards: Vector) -> NDArray[np.intp]:
@@ -317,17 +320,14 @@ class Kernel:
         """
         found = np.empty(len(times))
         rows = [np.ascontiguousarray(a) for a in (times, inside, towards)]
-        places = (_PLACE(a.ctypes.data) for a in (*rows, found))
-        self._library.cosim_leaving(ctypes.byref(self._call), _LONG(len(times)), *places)
+        self._ask("cosim_leaving", _LONG(len(times)), *rows, found)
         return found.astype(np.intp)
 
     def stay(self, rows: "Rows") -> NDArray[np.bool_]:
         """Return from which of n rows to the next one no relation leaves its mode, (n - 1,)."""
         found = np.ones(len(rows.times) - 1)
-        given, count = self._rows(rows), _LONG(len(rows.times))
-        self._library.cosim_stay(
-            ctypes.byref(self._call), ctypes.byref(given), count, _PLACE(found.ctypes.data)
-        )
+        given = self._rows(rows)
+        self._ask("cosim_stay", ctypes.byref(given), _LONG(len(rows.times)), found)
         return found > 0
 
     def search(
@@ -357,13 +357,9 @@ class Kernel:
 
         given = self._rows(rows)
         self._arrays["z"][: len(z)] = z
-        relation = self._library.cosim_search(
-            ctypes.byref(self._call),
-            ctypes.byref(given),
-            _FRESH_RUN(report) if run else _FRESH_RUN(),
-            _LONG(goes_on),
-            ctypes.byref(time),
-        )
+        fresh = _FRESH_RUN(report) if run else _FRESH_RUN()
+        places = ctypes.byref(given), fresh, _LONG(goes_on), ctypes.byref(time)
+        relation = self._ask("cosim_search", *places)
         if errors:
             raise errors[0]
         return time.value, int(relation)
@@ -375,8 +371,7 @@ class Kernel:
     def note_inside(self, modes: Vector, arguments: Vector) -> None:
         """Let go of boundaries that an event has displaced, where arguments are inside again."""
         rows = [np.ascontiguousarray(a) for a in (modes, arguments)]
-        places = (_PLACE(a.ctypes.data) for a in rows)
-        self._library.cosim_note_inside(ctypes.byref(self._call), *places)
+        self._ask("cosim_note_inside", *rows)
 
     def _ending(self) -> Outcome:
         call = self._call
@@ -416,6 +411,40 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, 
     return at, {i: float(edges[i]) for i in plain.of_states if small[i]}
 
 
+# What to tell of an ending, and the remedy; see `reject`
+_REASONS: dict[Reason, tuple[str, ...]] = {
+    Reason.NO_VALUE: ("the equations have no value at the event at {t}",),
+    Reason.NO_MODES: (
+        "no consistent modes at {t} ({relation})",
+        "use a smooth law such as tanh there",
+    ),
+    Reason.TOO_MANY_ROUNDS: (
+        "{event} happens again and again at {t}, more than 100 times",
+        "let its assignments make its condition false",
+    ),
+    Reason.TOO_CLOSE: (
+        "{event} happens ever faster before {t} (Zeno)",
+        "end the run before with a stop condition, or let the motion rest there",
+    ),
+    Reason.CONTRADICTS: (
+        "{other} and {event} give {state} different values at {t}",
+        "make one event of them, or conditions that exclude each other",
+    ),
+    Reason.NOT_FINITE_ASSIGNED: (
+        "{event} gives {state} no finite value at {t}",
+        "assign a finite one",
+    ),
+    Reason.VIOLATES: (
+        "{event} at {t} leaves states that violate: {violated} (by {size})",
+        "assign consistent values",
+    ),
+    Reason.STAYS_TRUE: (
+        "the condition of {event} stays true after {t}, so that it cannot happen again",
+        "let the motion rest there by a mode or a contact",
+    ),
+}
+
+
 def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
     """Raise the error of an instant that a run cannot go on from.
 
@@ -428,47 +457,19 @@ def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
     Raises:
         SolverError: Unless the run goes on, or an event has ended it.
     """
-    part = ending.part
-    event = f"'{system.events[part].name}'" if part >= 0 and system.events else f"'{switched}'"
-    state = system.dae.states[ending.state].name if ending.state >= 0 else ""
-    match ending.reason:
-        case Reason.NO_VALUE:
-            why = [f"the equations have no value at the event at {t:.12g} s"]
-        case Reason.NO_MODES:
-            why = [
-                f"no consistent modes at {t:.12g} s ({system.described(part)})",
-                "use a smooth law such as tanh there",
-            ]
-        case Reason.TOO_MANY_ROUNDS:
-            why = [
-                f"{event} happens again and again at {t:.12g} s, more than 100 times",
-                "let its assignments make its condition false",
-            ]
-        case Reason.TOO_CLOSE:
-            why = [
-                f"{event} happens ever faster before {t:.12g} s (Zeno)",
-                "end the run before with a stop condition, or let the motion rest there",
-            ]
-        case Reason.CONTRADICTS:
-            other = f"'{system.events[ending.other].name}'"
-            why = [
-                f"{other} and {event} give {state} different values at {t:.12g} s",
-                "make one event of them, or conditions that exclude each other",
-            ]
-        case Reason.NOT_FINITE_ASSIGNED:
-            why = [f"{event} gives {state} no finite value at {t:.12g} s", "assign a finite one"]
-        case Reason.VIOLATES:
-            violated = f"{system.dae.invariants[ending.other].meaning} (by {ending.size:.2g})"
-            why = [
-                f"{event} at {t:.12g} s leaves states that violate: {violated}",
-                "assign consistent values",
-            ]
-        case Reason.STAYS_TRUE:
-            why = [
-                f"the condition of {event} stays true after {t:.12g} s, so that it cannot happen "
-                "again",
-                "let the motion rest there by a mode or a contact",
-            ]
-        case _:
-            return
+    reason, part, other, state, size = ending
+    if reason not in _REASONS:
+        return
+    facts = {"t": f"{t:.12g} s", "event": f"'{switched}'", "size": f"{size:.2g}"}
+    if reason is Reason.NO_MODES:
+        facts["relation"] = system.described(part)
+    elif part >= 0:
+        facts["event"] = f"'{system.events[part].name}'"
+    if reason is Reason.CONTRADICTS:
+        facts["other"] = f"'{system.events[other].name}'"
+    elif reason is Reason.VIOLATES:
+        facts["violated"] = system.dae.invariants[other].meaning
+    if state >= 0:
+        facts["state"] = system.dae.states[state].name
+    why = (text.format_map(facts) for text in _REASONS[reason])
     raise SolverError.of(system.dae.full_name, *why, kind=EndKind.EVENT)
