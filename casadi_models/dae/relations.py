@@ -22,8 +22,6 @@ from casadi_models.dae.expressions import (
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.variables import Variable
 
-COMPARISONS = ("<", "<=")
-_COMPARISONS = {ca.OP_LT: -1, ca.OP_LE: 1}  # and the mode where both sides stay equal
 KEEPS = 2  # in place of a mode, where either side has the same value
 # Operations that are defined on one side of a boundary, and may be continuous there
 _BOUNDED = {
@@ -145,22 +143,20 @@ class LawsWithModes:
 
     def _switched(self, code: int, terms: Sequence[SX]) -> SX:
         """Return a relation with a mode, or several, in its place."""
-        if code in _COMPARISONS:
-            a, b = terms
-            name = COMPARISONS[code == ca.OP_LE]
-            return self._sign(b - a, name, _COMPARISONS[code]) > 0
-        if len(terms) == 1:
-            (a,) = terms
-            match code:
-                case ca.OP_SIGN:
-                    return self._sign(a, "sign", 0)
-                case ca.OP_FABS:
-                    return self._sign(a, "fabs") * a
-                case ca.OP_FLOOR:
-                    return self._floor(a, "floor")
-            return -self._floor(-a, "ceil")
-        a, b = terms
+        a, b = terms[0], terms[-1]
         match code:
+            case ca.OP_LT:
+                return self._sign(b - a, "<", -1) > 0
+            case ca.OP_LE:
+                return self._sign(b - a, "<=", 1) > 0
+            case ca.OP_SIGN:
+                return self._sign(a, "sign", 0)
+            case ca.OP_FABS:
+                return self._sign(a, "fabs") * a
+            case ca.OP_FLOOR:
+                return self._floor(a, "floor")
+            case ca.OP_CEIL:
+                return -self._floor(-a, "ceil")
             case ca.OP_FMIN:
                 return ca.if_else(self._sign(b - a, "fmin") > 0, a, b)
             case ca.OP_FMAX:

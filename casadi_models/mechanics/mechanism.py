@@ -15,6 +15,7 @@ from casadi import DM, SX
 
 from casadi_models.dae import Model
 from casadi_models.dae.expressions import column
+from casadi_models.dae.packed import rewritten
 from casadi_models.dae.relations import term_sizes
 from casadi_models.mechanics import conditions, kane
 from casadi_models.mechanics.slopes import determined, first_repeating, in_sizes_of_units
@@ -239,7 +240,8 @@ def _with_multipliers(
         model.algebraic(f"load_{name}", "1", 0.0, f"load of loop {name}") for name in _rows(loops)
     )
     velocity = ca.jtimes(g, q, speeds) + parts.moved
-    inertias, loads = _in_states(parts, speeds)
+    terms = parts.system.inertias, parts.system.loads
+    inertias, loads = rewritten(terms, lambda every: ca.substitute(every, [parts.u], [speeds]))
     system = parts.system_of(speeds[moving], inertias, loads, q_dot=speeds, constraints=velocity)
     decay = model.closing_rate(CLOSING_RATE)
     residual = kane.multiplier_equations(system, unknown, loop_loads)
@@ -274,23 +276,6 @@ def _column(parts: _Parts, *placed: tuple[Sequence[int], SX]) -> SX:
     """Return a column over all coordinates from its rows."""
     rows = {i: row for which, c in placed for i, row in zip(which, ca.vertsplit(c), strict=True)}
     return ca.vertcat(*(rows[i] for i in range(len(parts.names))))
-
-
-def _in_states(
-    parts: _Parts, speeds: SX
-) -> tuple[tuple[kane.InertialTerm, ...], tuple[kane.Load, ...]]:
-    def put(expression: SX) -> SX:
-        return ca.substitute(SX(expression), parts.u, speeds)
-
-    inertias = tuple(
-        kane.InertialTerm(
-            put(term.rate),
-            put(term.momentum),
-            None if term.frame_rate is None else put(term.frame_rate),
-        )
-        for term in parts.system.inertias
-    )
-    return inertias, tuple(kane.Load(put(x.rate), put(x.force)) for x in parts.system.loads)
 
 
 def _rate(parts: _Parts, i: int, order: int) -> tuple[str, float, str]:
