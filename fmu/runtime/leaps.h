@@ -12,9 +12,9 @@
 #include <math.h>
 #include <string.h>
 
-/* Places divide a change of a term into parts of an eighth. Two leaps that pass no more of them
-   resolve it. */
-enum { MOST_PLACES = 8, RESULTS = NX + NY - N_WATCHED, MOVING = NU - MODES };
+/* Places divide a change of a term into parts of an eighth: a step that stays has nine. Two leaps
+   that pass no more of them resolve it, or meet the values at both its ends. */
+enum { MOST_PLACES = 9, RESULTS = NX + NY - N_WATCHED, MOVING = NU - MODES };
 
 static bool is_sign(int relation) {
     return !relation_table[relation].of_time && !relation_table[relation].floor;

@@ -15,7 +15,7 @@ Dimension = Mapping[str, float] | None
 _PURE: Dimension = {}  # of functions' values; added or compared, it fits any dimension
 _RATIO = {"rad": nan, "offset": nan}  # a number or an angle
 _ROUNDING = 1e-9
-_TIME = {"t": "s", "time": "s"}
+_TIME = "t", "time"
 _POWER = r"[A-Za-z\u00b0\u03a9]+(?:\d+|(?:\^|\*\*)-?\d+)?"
 NUMBER_WITH_UNIT = re.compile(
     r"(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?)"
@@ -44,7 +44,7 @@ class Dimensions:
     """
 
     def __init__(self, owner: str, text: str, units: Mapping[str, str]) -> None:
-        self.owner, self.text, self.units = owner, text, _TIME | dict(units)
+        self.owner, self.text, self.units = owner, text, dict(units)
         self.with_units = False
 
     def check(self, tree: ast.expr) -> None:
@@ -71,8 +71,8 @@ class Dimensions:
             case ast.Constant(value=str() as text):
                 parts = NUMBER_WITH_UNIT.fullmatch(text)
                 return _of_unit(parts[2], in_si=True) if parts else None
-            case ast.Name(id=name):
-                return _of_unit(self.units.get(name, ""))
+            case ast.Name(id=name):  # time is a number in a law such as 5N*t
+                return None if name in _TIME else _of_unit(self.units.get(name, ""))
             case ast.UnaryOp(operand=operand):
                 return self.of(operand)
             case ast.BinOp():
@@ -120,9 +120,9 @@ class Dimensions:
 
     def common(self, first: ast.expr, *others: ast.expr) -> Dimension:
         """Return the common dimension of expressions."""
-        found = self.of(first)
+        found = self.compared(first)
         for other in others:
-            its = self.of(other)
+            its = self.compared(other)
             both = self.joined(first, found, other, its)
             first, found = (first if found else other), both
         return found
@@ -130,6 +130,11 @@ class Dimensions:
     def added(self, left: ast.expr, one: Dimension, right: ast.expr, other: Dimension) -> Dimension:
         """Return the dimension of a sum; None if it may be one of numbers."""
         return self.joined(left, one, right, other) if self.with_units or _fit(one, other) else None
+
+    def compared(self, node: ast.expr) -> Dimension:
+        """Return the dimension of a side of a comparison, where time alone is in s."""
+        is_time = isinstance(node, ast.Name) and node.id in _TIME
+        return _of_unit("s") if is_time else self.of(node)
 
     def joined(
         self, left: ast.expr, one: Dimension, right: ast.expr, other: Dimension
@@ -142,11 +147,9 @@ class Dimensions:
         return one or other
 
     def reject_dimension(self, node: ast.expr) -> None:
-        """Reject what has a dimension as an exponent or argument; time alone is a number there."""
+        """Reject what has a dimension as an exponent or argument."""
         found = self.of(node)
-        names, with_units = _parts(node)
-        is_time = not with_units and not names - _TIME.keys()
-        if self.with_units and not is_time and not _fit(found, _RATIO):
+        if self.with_units and not _fit(found, _RATIO):
             raise self.refusal(
                 f"{shown(node)} is in {_unit(found)}, but must be a number or an angle in rad"
             )

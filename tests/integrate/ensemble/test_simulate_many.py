@@ -242,7 +242,7 @@ def test_what_contradicts_itself_is_refused_at_once(bicycle):
         simulate_many(bicycle, {"phi": [0.1, 0.2], "delta": [0, 0, 0]})
     with pytest.raises(UsageError, match="output_times already sets all"):
         simulate_many(bicycle, output_times=[1.0], stop_time=2.0)
-    with pytest.raises(ParameterError, match="grid"):
+    with pytest.raises(ParameterError, match="output_times: time 2"):
         simulate_many(bicycle, output_times=[2.0, 1.0])
     with pytest.raises(UsageError, match="lanes"):
         simulate_many(bicycle, lanes=3)
