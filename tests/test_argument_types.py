@@ -162,7 +162,7 @@ def test_what_is_no_solver_is_refused(wrong):
         ({"stop_when": "x > "}, "stop_when: 'x > ' is no formula"),
         ({"stop_when": "x > 3 m"}, "units without a blank, as in 3deg"),
         ({"stop_when": "x"}, "'x' is no condition; compare two values"),
-        ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is not understood"),
+        ({"stop_when": "x + (x > 1) > 2"}, "'x > 1' in 'x + (x > 1) > 2' is no number; write"),
         ({"stop_when": 3}, "3 is no formula"),
         (
             {"stop_when": "x > 1", "stop_time": 0.0},
