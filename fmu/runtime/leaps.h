@@ -24,7 +24,7 @@ static bool is_sign(int relation) {
    where they have no values. */
 static bool results_on_way(Instance *self, const double from[], double share, double found[]) {
     const State kept = self->state;
-    const uint32_t categories = self->categories;
+    const uint32_t logged = self->categories;
     const Laws laws = laws_of(self);
     const Point at = present(self);
     double before[ROOM(MODES)];
@@ -41,7 +41,7 @@ static bool results_on_way(Instance *self, const double from[], double share, do
     memcpy(found + NX, self->state.values + FIRST_OUTPUT, (RESULTS - NX) * sizeof *found);
     memcpy(found + RESULTS, modes_of(&at), MODES * sizeof *found);
     self->state = kept;
-    self->categories = categories;
+    self->categories = logged;
     return known;
 }
 
@@ -58,14 +58,14 @@ static bool results_return(Instance *self, const double from[], const double sha
         for (int half = 0; half < 2; half++) {
             const double share = shares[i] + half * (next - shares[i]) / 2;
             if (!results_on_way(self, from, share, c)) continue;
-            bool returns = next < 1, leaves = false;
+            bool returns = next < 1, is_out = false;
             for (int k = RESULTS; k < RESULTS + MODES; k++) returns |= a[k] == b[k] && c[k] != a[k];
             for (int k = 0; k < RESULTS; k++) {
                 const double rounding = 64 * DBL_EPSILON * fmax(fabs(a[k]), fabs(b[k]));
                 const double beyond = fmax(c[k] - fmax(a[k], b[k]), fmin(a[k], b[k]) - c[k]);
-                leaves |= beyond > fabs(a[k] - b[k]) + rounding;
+                is_out |= beyond > fabs(a[k] - b[k]) + rounding;
             }
-            if (returns && leaves) return true;
+            if (returns && is_out) return true;
         }
     }
     return false;
@@ -75,9 +75,9 @@ static bool results_return(Instance *self, const double from[], const double sha
    the way; if it does so twice, the place between. Negative: nowhere. Exact for parabolas. */
 static double share_of_change(double a, double middle, double b) {
     if (a * b < 0) return a / (a - b);
-    const double slope = 4 * middle - 3 * a - b, bend = 2 * (a - 2 * middle + b);
-    const double vertex = -slope / (2 * bend);
-    return vertex > 0 && vertex < 1 && a * (a + slope * vertex / 2) < 0 ? vertex : -1;
+    const double rise = 4 * middle - 3 * a - b, bend = 2 * (a - 2 * middle + b);
+    const double vertex = -rise / (2 * bend);
+    return vertex > 0 && vertex < 1 && a * (a + rise * vertex / 2) < 0 ? vertex : -1;
 }
 
 /* The relations with inputs at a share of the way to the present ones; false without values. */
@@ -132,12 +132,12 @@ static void warn_of_leap(Instance *self, const double from[]) {
 static void note_inputs(Instance *self, bool leap) {
     Leaps *leaps = &self->state.leaps;
     const double *u = self->state.values + FIRST_INPUT;
-    const int count = (int)leaps->count;
-    if (count > 0 && memcmp(leaps->u[0], u, sizeof leaps->u[0]) == 0) return;
-    if (leap && count > 0) warn_of_leap(self, leaps->u[count - 1]);
+    const int known = (int)leaps->count;
+    if (known > 0 && memcmp(leaps->u[0], u, sizeof leaps->u[0]) == 0) return;
+    if (leap && known > 0) warn_of_leap(self, leaps->u[known - 1]);
     memcpy(leaps->u[1], leaps->u[0], sizeof leaps->u[0]);
     memcpy(leaps->u[0], u, sizeof leaps->u[0]);
-    leaps->count = leap && count > 0 ? 2 : 1;
+    leaps->count = leap && known > 0 ? 2 : 1;
 }
 
 #else
