@@ -38,16 +38,21 @@ class Dimensions:
 
     Attributes:
         owner, text: For messages.
+        tree: Of the formula.
         units: Of the variables by name, and of the formula's value by the name "".
-        with_units: Whether a number in the formula has a unit; else a law such as -phi - phi_dot,
-            whose gains are 1, is none of different dimensions.
+        names: Of the formula.
+        with_units: Whether a number in it has a unit; in a law without one, such as -phi - phi_dot,
+            gains of 1 may have any.
     """
 
-    def __init__(self, owner: str, text: str, units: Mapping[str, str]) -> None:
-        self.owner, self.text, self.units = owner, text, dict(units)
-        self.with_units = False
+    def __init__(self, owner: str, text: str, tree: ast.expr, units: Mapping[str, str]) -> None:
+        self.owner, self.text, self.tree, self.units = owner, text, tree, units
+        nodes = [*ast.walk(tree)]
+        self.names = {node.id for node in nodes if isinstance(node, ast.Name)}
+        constants = (node.value for node in nodes if isinstance(node, ast.Constant))
+        self.with_units = str in map(type, constants)
 
-    def check(self, tree: ast.expr) -> None:
+    def check(self) -> None:
         """Check a formula.
 
         Raises:
@@ -55,14 +60,12 @@ class Dimensions:
                 has a unit, terms of a sum do, an exponent, an argument of a function or the result
                 has another, or a variable is not in SI units.
         """
-        names, with_units = _parts(tree)
-        self.with_units = with_units
-        for name in ("", *names) if with_units else ():
+        for name in ("", *self.names) if self.with_units else ():
             unit = parse_unit(self.units.get(name, ""))
             if unit is not None and not unit.is_si:
                 raise mixed_units(self.owner, self.text, name or "the result", self.units[name])
-        found, wanted = self.of(tree), self.units.get("", "")
-        if with_units and not _fit(found, _of_unit(wanted)):
+        found, wanted = self.of(self.tree), self.units.get("", "")
+        if self.with_units and not _fit(found, _of_unit(wanted)):
             raise self.refusal(f"the unit of the result is {_unit(found)} instead of {wanted}")
 
     def of(self, node: ast.expr) -> Dimension:
@@ -168,13 +171,6 @@ def mixed_units(owner: str, text: str, name: str, unit: str) -> ParameterError:
         f"{owner}: '{text}' has numbers with units, which become SI values, but {name} is in "
         f"{unit}; write all numbers without units"
     )
-
-
-def _parts(node: ast.expr) -> tuple[set[str], bool]:
-    """Return the names in an expression, and whether a number in it has a unit."""
-    nodes = [*ast.walk(node)]
-    texts = (part.value for part in nodes if isinstance(part, ast.Constant))
-    return {n.id for n in nodes if isinstance(n, ast.Name)}, str in map(type, texts)
 
 
 def shown(node: ast.expr) -> str:

@@ -74,7 +74,7 @@ def expression(
     node = _parsed(owner, text, symbols)
     with _shallow(owner, text):
         value = SX(_Reader(owner, text, symbols).value(node))
-        Dimensions(owner, text, units or {}).check(node)
+        Dimensions(owner, text, node, units or {}).check()
         return value
 
 
@@ -90,7 +90,7 @@ def condition(
     node = _parsed(owner, text, symbols)
     with _shallow(owner, text):
         holds = SX(_Reader(owner, text, symbols).condition(node))
-        Dimensions(owner, text, units or {}).check(node)
+        Dimensions(owner, text, node, units or {}).check()
         return holds
 
 
