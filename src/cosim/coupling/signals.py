@@ -159,9 +159,8 @@ def _lines_through(series: InputSeries, t: SX) -> list[SX]:
     """Return the lines between samples as expressions of time, one for each column.
 
     A relation for each digit finds the number of samples that have been, of which the tables of
-    times, and of values and slopes, are functions. It jumps, so that their slopes are 0. The digits
-    are those of a Gray code: one changes at a sample. The tables differ in their numbers of
-    results, as nothing else tells functions apart that equations call.
+    their ends, and of values and slopes, are functions. It jumps, so that their slopes are 0. The
+    digits are those of a Gray code: one changes at a sample.
     """
     flat = (np.diff(series.values, axis=0) == 0).all(axis=1)
     needed = ~np.concatenate(([False], flat[1:] & flat[:-1], [False]))
@@ -170,12 +169,12 @@ def _lines_through(series: InputSeries, t: SX) -> list[SX]:
     gaps = np.diff(time)[:, None]
     slopes = np.divide(np.diff(values, axis=0), gaps, out=np.zeros((n - 1, m)), where=gaps > 0)
     slopes = np.pad(slopes, ((1, 1), (0, 0)))  # before the first sample, and after the last one
-    begins, ends = time[[0, *range(n)]], np.append(time, _NEVER)
+    last = [0, *range(n)]  # the sample that was last, for each number of them
     number, sign, digit = SX(0), SX(1), 1 << n.bit_length()
-    spans = _table("spans", np.column_stack((begins, ends)), digit)
-    rows = _table("rows", np.column_stack((begins, values[[0, *range(n)]], slopes)), digit)
+    ends = _table("ends", np.append(time, _NEVER)[:, None], digit)
+    rows = _table("rows", np.column_stack((time[last], values[last], slopes)), digit)
     while digit := digit // 2:
-        ahead = sign * (t - spans(number + digit - 1)[1])
+        ahead = sign * (t - ends(number + digit - 1))
         passed = (1 - sign) / 2 + sign * (ahead >= 0)
         number, sign = number + digit * passed, 1 - 2 * passed
     row = rows(number)
