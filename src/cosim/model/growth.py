@@ -128,8 +128,8 @@ def suppressed_growth(
         if (not spans and steps < len(path.time)) or not level.matters(path):
             continue
         own = ((path, *span) for span in compress(spans, _growing(path, spans)))
-        first = (_first_lines(path, row, relative, level.calm) for row in path.begins)
-        if found := level.smallest(chain(own, *first)):
+        first = _first_lines(path, path.begins, relative, level.calm)
+        if found := level.smallest(chain(own, first)):
             return found
     return None
 
@@ -147,7 +147,7 @@ def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
     for level in _levels(relative, absolute):
-        lines = _first_lines(path, 0, relative, level.calm)
+        lines = _first_lines(path, np.array([0]), relative, level.calm)
         if level.matters(path) and (found := level.smallest(lines)):
             return found
     return None
@@ -223,38 +223,41 @@ def unfollowed_growth(
     return suppressed_growth(path.since(closer.until), steps, relative, absolute)
 
 
-def _first_lines(path: StatePath, row: int, relative: float, absolute: float) -> Iterator[_Line]:
-    """Yield lines from a row that are ones to the tolerance, with rows along them."""
-    t, x = path.time, path.states[:, [row]]
-    begin = t[row]
-    rate = path.rates(t[[row]], x)
+def _first_lines(
+    path: StatePath, begins: Integers, relative: float, absolute: float
+) -> Iterator[_Line]:
+    """Yield lines from some rows that are ones to the tolerance, with rows along them."""
+    t, x = path.time, path.states[:, begins, None]
+    start = t[begins, None]
+    rates = path.rates(start[:, 0], x[..., 0])[..., None]
     shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
-    lengths = (t[-1] - begin) * shares
-    ends = x + lengths * rate
-    bends = lengths * np.abs(path.rates(begin + lengths, ends) - rate)
-    calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None]
-    new = (calm & (calm.cumsum(axis=1) == 1)).any(axis=0)
-    lasts = np.minimum(t.searchsorted(begin + lengths), len(t) - 1)
-    spans = [(row, int(last), own) for last, own in zip(lasts[new], calm.T[new], strict=True)]
-    chosen = [*compress(zip(lengths[new], calm.T[new], strict=True), _growing(path, spans))]
-    if not chosen or not _may_grow_on_line(path, row, rate):
+    lengths = (t[-1] - start) * shares
+    ends = x + lengths * rates
+    there = path.rates((start + lengths).ravel(), ends.reshape(len(x), -1))
+    bends = lengths * np.abs(there.reshape(ends.shape) - rates)
+    calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None, None]
+    new = (calm & (calm.cumsum(axis=-1) == 1)).any(axis=0)
+    found = np.argwhere(new)
+    if not len(found):
         return
-    for length, own in chosen:
-        time = np.union1d(t, np.linspace(begin, begin + length, _PLACES))
-        states = np.array([np.interp(time, t, state) for state in path.states])
-        first, last = time.searchsorted((begin, begin + length)).tolist()
-        yield replace(path, time=time, states=states), first, last, own
+    times, lines = list[Vector](), list[Vector]()
+    for i, k in found:
+        first = begins[i]
+        time = np.linspace(t[first], t[first] + lengths[i, k], _PLACES)
+        line = path.states[:, [first]] + rates[:, i] * (time - t[first])
+        times.append(time)
+        lines.append(np.where(calm[:, i, k, None], line, _between(path, time)))
+    slopes = np.split(path.slopes(np.hstack(times), np.hstack(lines)), len(found))
+    for (i, k), time, steep in zip(found, times, slopes, strict=True):
+        if _may_grow(path, time, steep):
+            every = np.union1d(t, time)
+            rows = every.searchsorted(time[[0, -1]]).tolist()
+            yield replace(path, time=every, states=_between(path, every)), *rows, calm[:, i, k]
 
 
-def _may_grow_on_line(path: StatePath, row: int, rate: Vector) -> bool:
-    """Return whether a deviation may grow on the line that leaves a row, to the end."""
-    times = np.linspace(path.time[row], path.time[-1], _PLACES)
-    line = path.states[:, [row]] + rate * (times - times[0])
-    slopes = path.slopes(times, line)
-    finite = _finite(slopes)
-    if not finite[0] or not path.rates(times, line).any():
-        return False
-    return bool(_growth_rates(slopes[finite]).max() * np.ptp(times) > 1)
+def _between(path: StatePath, times: Vector) -> Vector:
+    """Return the states at times, s, (m,), lines between the rows, (nx, m)."""
+    return np.array([np.interp(times, path.time, state) for state in path.states])
 
 
 def _slopes_at_places(path: StatePath, first: int, last: int) -> tuple[Integers, Vector]:
@@ -284,24 +287,22 @@ def _spread(t: Vector, first: int, last: int, places: int) -> Integers:
 
 def _growing(path: StatePath, spans: Sequence[Span]) -> list[bool]:
     """Return in which spans, or soon after, a deviation may grow by e, as slopes there tell."""
-    if spans:  # all slopes at once
-        every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
-        path.slopes_at(np.unique(np.concatenate(every)))
-    return [_may_grow(path, *span[:2]) for span in spans]
+    every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
+    path.slopes_at(np.unique(np.concatenate([[0], *every])))  # all at once
+    return [_may_grow(path, path.time[rows], path.slopes_at(rows)) for rows in every]
 
 
-def _may_grow(path: StatePath, first: int, last: int) -> bool:
-    """Return whether a deviation may grow by e from a row to another one, or soon after."""
-    rows, slopes = _slopes_at(path, first, last, _PLACES)
-    if len(rows) < _PLACES:
+def _may_grow(path: StatePath, times: Vector, slopes: Vector) -> bool:
+    """Return whether a deviation may grow by e over times, s, (m,), or soon after, in a path."""
+    if not _finite(slopes).all():
         return True
     between = 1 if _steady(slopes) else _MORE
-    return between * _exponent(path.time[rows], slopes, _end(path.time, first, last)) > 1
+    return between * _exponent(times, slopes, _end(times, path.time[-1])) > 1
 
 
-def _end(t: Vector, first: int, last: int) -> float:
-    """Return when a line ends at the latest that goes on after some rows, s."""
-    return float(min(t[last] + _SHORTER * (t[last] - t[first]), t[-1]))
+def _end(times: Vector, latest: float) -> float:
+    """Return when a line ends at the latest that goes on after some times, s, (m,)."""
+    return float(min(times[-1] + _SHORTER * (times[-1] - times[0]), latest))
 
 
 def _exponent(t: Vector, slopes: Vector, end: float = -np.inf) -> float:
@@ -434,7 +435,7 @@ class _Course:
         fastest = np.where(alone | ~alone.any(axis=1, keepdims=True), values.real, -np.inf)
         rates = fastest.max(axis=1)
         rates = np.append(rates, rates[-1])  # the line may go on
-        time = np.append(t[rows], max(_end(t, first, last), t[rows[-1]]))
+        time = np.append(t[rows], max(_end(t[[first, last]], t[-1]), t[rows[-1]]))
         grown = np.append(0.0, np.cumsum((rates[1:] + rates[:-1]) / 2 * np.diff(time)))
         begin = int(np.argmin(grown[:-1]))
         grown = grown[begin:] - grown[begin]

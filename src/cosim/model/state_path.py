@@ -43,11 +43,11 @@ class StatePath:
         return np.flatnonzero(np.diff(self.time) == 0)
 
     @property
-    def begins(self) -> list[int]:
-        """The first row, and those that begin the longest parts between events."""
+    def begins(self) -> Integers:
+        """The first row, and those that begin the longest parts between events, (m,)."""
         rows = self.jumps + 1
         lengths = np.diff(self.time[rows], append=self.time[-1])
-        return [0, *rows[np.argsort(-lengths, kind="stable")[:_MOST_SPANS]].tolist()]
+        return np.append(0, rows[np.argsort(-lengths, kind="stable")[:_MOST_SPANS]])
 
     def since(self, time: float) -> "StatePath":
         """Return the path from a time on, s."""
