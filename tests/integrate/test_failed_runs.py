@@ -406,3 +406,18 @@ def test_a_state_that_grows_without_bound_is_told_where_it_does(solver, output_i
     times = {"step_size": 0.01, "output_interval": output_interval}
     with pytest.raises(SolverError, match=r"not finite at t = 1(\.0\d)?, h = 0\.01"):
         cosim.simulate(dae, solver=solver, **times)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes"])
+def test_events_without_end_are_a_failure_before_memory_is_full(monkeypatch, solver):
+    monkeypatch.setattr("cosim.integrate.events._MOST_INSTANTS", 20)
+    model = Model("saw", stop_time=60.0, output_interval=1.0)
+    x, speed = model.state("x", "1", 0.0, "place"), model.state("speed", "1", 1.0, "speed")
+    model.derivative(x, speed)
+    model.derivative(speed, speed)  # before: about e^60 events, and no memory left
+    model.when(x > 0.5, {x: 0.0}, name="tooth")
+    with pytest.raises(
+        SolverError, match="more than 20 instants with events; stop earlier"
+    ) as failed:
+        cosim.simulate(model.freeze(), solver=solver)
+    assert 2 <= failed.value.partial.time[-1] < 8  # events of a whole piece are counted

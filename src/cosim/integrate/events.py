@@ -40,6 +40,7 @@ _LEAST_WINDOW, _LEAST_WATCHED = 31, 1000  # after an event; if the solver ends a
 _SOON = 1.25  # times the rows between events: within which the next one is looked for
 _FEW_STEPS = 100  # take as long as all else of a piece; rows with more steps are fewer in it
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
+_MOST_INSTANTS = 2_000_000  # of a run, which take about 6 GB
 
 
 def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
@@ -141,6 +142,7 @@ class _Course:
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
         self.next = 0  # row of the grid to be written
         self.event_row = 0  # the row after the last event that was located
+        self.stays = dict[bytes, int]()  # rows that the motion last was in these modes
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
@@ -223,8 +225,10 @@ class _Course:
         while self.next < len(self.grid) and not self.stop and not reason:
             try:
                 reason = self._advance()
-                if len(self.instants) > self.problem.most_instants:
-                    reason = Ending("it has too many events")
+                most = min(self.problem.most_instants, _MOST_INSTANTS)
+                if len(self.instants) > most:
+                    what = f"more than {most:,} instants with events"
+                    reason = Ending(what, EndKind.EVENT, "stop earlier, or see what makes so many")
             except KeyboardInterrupt:  # what was computed is shown
                 interrupt_noticed()
                 reason = INTERRUPTED
@@ -254,8 +258,10 @@ class _Course:
         if found is not None:
             self._accept(piece, found.at.t)
             passed, self.event_row = self.next - self.event_row, self.next
-            self.window = max(self.least_window, int(_SOON * passed))
+            self.stays[self.at.modes.tobytes()] = passed
             self._switch(found.at, found.first)
+            passed = self.stays.get(self.at.modes.tobytes(), passed)
+            self.window = max(self.least_window, int(_SOON * passed))
             return Ending()
         if piece.reason:
             self._accept(piece, np.inf)
