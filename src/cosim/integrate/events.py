@@ -20,7 +20,7 @@ from cosim.host.signals import interrupt_noticed
 from cosim.integrate.call import INTERRUPTED, Reached
 from cosim.integrate.engine import Counts, Problem
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.growth import followed_growth
+from cosim.integrate.growth import Continuation, followed_growth
 from cosim.integrate.initial_values import algebraic_values, input_values
 from cosim.integrate.kernel import Kernel, Outcome, Reason, reject
 from cosim.integrate.location import Piece, located, located_at_end, with_input_rates, with_slopes
@@ -80,6 +80,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     if not isinstance(solver, AdaptiveSolver):
         motion = attempt(None, problem.grid, np.empty(0))
         return with_note_on_steps(motion)
+    goes_on = system is not None and continuation(problem, solver, start)
     return followed_growth(
         lambda closer: attentive(
             partial(attempt, closer),
@@ -88,8 +89,27 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
             with_conditions(problem.dae),
         ),
         lambda closer, steps: attempt(closer, np.unique(between(problem.grid, steps)), np.empty(0)),
+        goes_on or None,
         solver,
     )
+
+
+def continuation(problem: Problem, solver: Solver, start: InitialState) -> Continuation:
+    """Return what goes on with a hybrid model from other states.
+
+    Args:
+        problem, solver: What is integrated.
+        start: Where the run began, with its parameters and inputs.
+    """
+    problem, start = with_input_rates(problem, start)
+    system = hybrid(problem.dae)
+    assert system is not None
+
+    def go_on(times: Vector, x: Vector, z: Vector) -> Motion:
+        own = replace(problem, times=times.tobytes())
+        return _Course(own, system, solver, replace(start, x=x, z=z), np.empty(0), None).run()
+
+    return go_on
 
 
 def _with_shares(problem: Problem, closer: Closer | None) -> Problem:

@@ -11,6 +11,7 @@ from casadi_models.dae import Dae
 from casadi_models.dae.expressions import at_irregular_place
 from cosim.arrays import Truths, Vector
 from cosim.codegen.functions import equations
+from cosim.errors import CosimError
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.engine import Counts
 from cosim.integrate.motion import Motion, rates_at
@@ -19,6 +20,8 @@ from cosim.model.growth import (
     MOST_TRIALS_OF_GROWTH,
     Closer,
     Growth,
+    controlled_half,
+    growing_times,
     growth_from_start,
     has_lines,
     unfollowed_growth,
@@ -30,11 +33,17 @@ from cosim.model.values import error_sizes, own_sizes
 from cosim.text import one_note
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
+_LOOKS = 3  # whether a deviation grows: from its begin on, in the last half, the last quarter
+_FADES = 1.5  # times as much in the second half of a time as in the first: no growth
+
+# The motion over output times, s, (n,), from states and unknowns at the first, (nx,) and (nz,)
+Continuation = Callable[[Vector, Vector, Vector], Motion]
 
 
 def followed_growth(
     run: Callable[[Closer | None], Motion],
     look: Callable[[Closer | None, int], Motion],
+    go_on: Continuation | None,
     solver: AdaptiveSolver,
 ) -> Motion:
     """Return the motion of a solver, or one with smaller tolerances where digits are lost.
@@ -42,12 +51,13 @@ def followed_growth(
     Args:
         run: Integrates, the first part with smaller tolerances.
         look: The same, with several rows in each of so many steps.
+        go_on: Goes on from other states; None without events and relations.
         solver: The solver.
     """
     relative, absolute = solver.tolerance.pair
     motion, refined = _with_digits(run, look, solver.tolerance)
     ended = refined or motion.reason == INTERRUPTED
-    growth = None if ended else growth_in(motion, solver.tolerance)
+    growth = None if ended else growth_in(motion, solver.tolerance, go_on)
     if growth is None:
         return motion
     closer = growth.closer(relative, absolute)
@@ -60,7 +70,7 @@ def followed_growth(
             return followed
         if followed.reason:
             break
-        found, later = followed, growth_in(followed, solver.tolerance, closer)
+        found, later = followed, growth_in(followed, solver.tolerance, None, closer)
         if later is None or later.rounding or later.time < closer.until:
             break
         closer = later.closer(relative, absolute, closer)
@@ -139,12 +149,75 @@ def may_grow_again(dae: Dae) -> bool:
     return bool(np.any(group & grows & shrinks))
 
 
-def growth_in(motion: Motion, tolerance: Tolerance, closer: Closer | None = None) -> Growth | None:
-    """Return the smallest deviation that a motion does not follow; see `unfollowed_growth`."""
+def growth_in(
+    motion: Motion,
+    tolerance: Tolerance,
+    go_on: Continuation | None,
+    closer: Closer | None = None,
+) -> Growth | None:
+    """Return the smallest deviation that a motion does not follow; see `unfollowed_growth`.
+
+    Args:
+        motion, tolerance, closer: The motion, and how it was found.
+        go_on: Tells what events make of a deviation; None if there are none.
+    """
     if not any_grows(motion.dae):
         return None
     path = _path(motion, _sizes(motion, tolerance))
-    return unfollowed_growth(path, motion.counts.steps or 0, *tolerance.pair, closer)
+    known = motion.counts.steps or 0, *tolerance.pair
+    if go_on and _is_held(motion, path, known, go_on):
+        return None
+    return unfollowed_growth(path, *known, closer)
+
+
+def _is_held(
+    motion: Motion, path: StatePath, known: tuple[int, float, float], go_on: Continuation
+) -> bool:
+    """Return whether events or friction hold each deviation that may grow by the equations.
+
+    Args:
+        motion, path: The motion, and its path.
+        known: Its steps and tolerances.
+        go_on: See `growth_in`.
+    """
+    begin, spans = -np.inf, growing_times(path, *known)
+    for _ in range(_LOOKS):
+        spans = spans[spans[:, 1] > begin]
+        if not len(spans):
+            break
+        begin = max(begin, float(spans[:, 0].min()))
+        row = int(path.time.searchsorted(begin, "right")) - 1
+        if not _fades(motion, path, row, controlled_half(*known[1:]), go_on):
+            return False
+        begin = (begin + float(path.time[-1])) / 2
+    return True
+
+
+def _fades(motion: Motion, path: StatePath, row: int, size: float, go_on: Continuation) -> bool:
+    """Return whether a deviation does not grow up to the end.
+
+    Args:
+        motion, path, go_on: See `_is_held`.
+        row: Of the path, at which the deviation begins.
+        size: Of the deviation there, in nominal values; it shall not come half-way to 1.
+    """
+    begin, states = path.time[row], path.states[:, row]
+    rows = np.flatnonzero(motion.time > begin)
+    if not len(rows):
+        return False
+    shares = size * (1 + np.modf(np.sqrt(2) * np.arange(len(states)))[0])  # no symmetric deviation
+    states = states + np.where(path.grows, shares * path.sizes, 0)
+    times, guess = np.append(begin, motion.time[rows]), motion.algebraics[:, rows[0]]
+    try:
+        other = go_on(times, states, guess)
+    except CosimError:  # an event has no result from there
+        return False
+    if other.reason or other.note or len(other.time) < len(times):
+        return False
+    deviations = np.abs(other.states[:, 1:] - motion.states[:, rows]) / path.sizes[:, None]
+    largest = np.append(shares.max(), deviations[path.grows].max(axis=0))
+    first, second = np.array_split(largest, 2)
+    return bool(largest.max() < np.sqrt(size) and second.max() <= _FADES * first.max())
 
 
 def may_grow(motion: Motion, tolerance: Tolerance) -> bool:

@@ -119,19 +119,35 @@ def suppressed_growth(
         steps: Number of its steps.
         relative, absolute: Its tolerances; the absolute one in nominal values.
     """
+    for level, lines in _growing_lines(path, steps, relative, absolute):
+        if found := level.smallest(lines):
+            return found
+    return None
+
+
+def growing_times(path: StatePath, steps: int, relative: float, absolute: float) -> Vector:
+    """Return between which times deviations may grow by the equations, s, (m, 2).
+
+    Args:
+        path, steps, relative, absolute: See `suppressed_growth`.
+    """
+    every = (line for _, lines in _growing_lines(path, steps, relative, absolute) for line in lines)
+    return np.array([own.time[[first, last]] for own, first, last, _ in every]).reshape(-1, 2)
+
+
+def _growing_lines(
+    path: StatePath, steps: int, relative: float, absolute: float
+) -> "Iterator[tuple[_Level, Iterable[_Line]]]":
+    """Yield what is looked for, and the lines along which a deviation may grow by e."""
     if len(path.time) < 2 or not len(path.states):
-        return None
+        return
     bends = Bends.of(path, steps)
     for level in _levels(relative, absolute):
         spans = bends.spans(relative, level.calm * path.sizes, path.grows)
         # where steps are closer than rows, a line may be short
-        if (not spans and steps < len(path.time)) or not level.matters(path):
-            continue
-        own = ((path, *span) for span in compress(spans, _growing(path, spans)))
-        first = _first_lines(path, path.begins, relative, level.calm)
-        if found := level.smallest(chain(own, first)):
-            return found
-    return None
+        if (spans or steps >= len(path.time)) and level.matters(path):
+            own = ((path, *span) for span in compress(spans, _growing(path, spans)))
+            yield level, chain(own, _first_lines(path, path.begins, relative, level.calm))
 
 
 def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> bool:

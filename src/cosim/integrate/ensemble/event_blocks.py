@@ -23,12 +23,13 @@ from cosim.host.signals import interrupt_noticed, interruptible
 from cosim.integrate.engine import Counts, room_for_events
 from cosim.integrate.ensemble.ensemble import Row
 from cosim.integrate.ensemble.lanes import nominal_sizes, within_bounds
-from cosim.integrate.events import records_of
+from cosim.integrate.events import continuation, records_of
 from cosim.integrate.families.explicit import Dop853, block_library
 from cosim.integrate.growth import growth_in, may_grow
 from cosim.integrate.initial_values import consistent_values
 from cosim.integrate.modes import Passed, hybrid, passed_events, sliding
 from cosim.integrate.motion import Motion
+from cosim.integrate.nominal import InitialState
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory_of
@@ -245,7 +246,9 @@ class EventBlocks:
             return None
         if may_grow(known, self._tolerance):
             sides = [(each.before, each.after) for each in _passed(values, events)]
-            if growth_in(replace(known, instants=sides), self._tolerance) is not None:
+            begin = InitialState(motion.states[:, 0], motion.algebraics[:, 0], values)
+            go_on = continuation(self._prepared.problem, self.solver, begin)
+            if growth_in(replace(known, instants=sides), self._tolerance, go_on) is not None:
                 return None
         try:
             motion, recorded, reason = evaluated(self._prepared, known, StepCheck(), _needed)
