@@ -81,7 +81,8 @@ def deepest_trough(
         alone[i] = rests.of(np.arange(len(shares)) == i)[i]
     # of states that vanish only together, half of the digits may be lost at first
     limits = np.where(alone | (shares < 1), relative, np.sqrt(relative))
-    low = levels < (absolute * shares / limits)[:, None]
+    limits = absolute * shares / limits
+    low = levels < limits[:, None]
     worst: tuple[float, int, int, float] | None = None
     for i, rows in _spans(low, path):
         end = int(rows[-1]) + 1
@@ -90,7 +91,7 @@ def deepest_trough(
             continue
         lost = _lost(rests, path, levels, low, i, rows)
         grows = is_left or not complete
-        if lost is None or not (grows or _should_grow(path, i, int(rows[0]))):
+        if lost is None or not (grows or _should_grow(path, i, int(rows[0]), limits[i])):
             continue
         row, size, group = lost
         # the error that it gets from there, in nominal values
@@ -117,10 +118,12 @@ def _spans(low: Truths, path: StatePath) -> Iterator[tuple[int, Integers]]:
         yield from ((i, rows) for rows in parts if low[i, rows[0]])
 
 
-def _should_grow(path: StatePath, i: int, first: int) -> bool:
-    """Return whether a state that is low from a row on grows above it again by its own rate."""
+def _should_grow(path: StatePath, i: int, first: int, limit: float) -> bool:
+    """Return whether a state that is low from a row on grows to a limit by its own rate."""
     rows = np.unique(np.linspace(first, len(path.time) - 1, 4 * _LOOKS).astype(int))
-    return bool(_growth(path, i, rows, path.states[i, first]).max() > 0)
+    value = float(path.states[i, first])
+    growth = _growth(path, i, rows, value).max()
+    return value != 0 and bool(growth >= np.log(limit * path.sizes[i] / abs(value)))
 
 
 def _growth(path: StatePath, i: int, rows: Integers, value: float) -> Vector:
