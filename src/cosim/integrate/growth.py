@@ -33,7 +33,7 @@ from cosim.model.values import error_sizes, own_sizes
 from cosim.text import one_note
 
 _MOST_STEPS = 2_000  # in which a motion is looked at
-_LOOKS = 3  # whether a deviation grows: from its begin on, in the last half, the last quarter
+_LOOKS = 3  # whether a deviation grows: from the start on, in the last half, the last quarter
 _FADES = 1.5  # times as much in the second half of a time as in the first: no growth
 
 # The motion over output times, s, (n,), from states and unknowns at the first, (nx,) and (nz,)
