@@ -246,7 +246,8 @@ def parse_unit(text: str, like: Unit | None = None) -> Unit | None:
 
     Args:
         text: A known unit, or a product of powers of them such as `kg.m2/s3` or `W/(m.K)`. The
-            offset of a temperature counts only where the temperature stands alone.
+            offset of a temperature counts only where the temperature stands alone. `/min` is
+            `1/min`.
         like: What it shall measure; a pound is a force unless only a mass fits.
     """
     if (known := dict.get(UNITS, text)) is not None:
@@ -284,7 +285,8 @@ _Powers = list[tuple[str, Unit, int]]
 
 
 def _plain(text: str) -> str:
-    return text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
+    plain = text.strip().replace("\u00b2", "2").replace("\u00b3", "3")
+    return f"1{plain}" if plain.startswith("/") else plain
 
 
 def _powers(text: str, known: Callable[[str], Unit | None]) -> _Powers | None:

@@ -126,6 +126,9 @@ def test_unknown_unit_is_refused_with_the_known_ones(unit):
         (6.0, "deg/s", "rpm", 1.0),
         (1.0, "rpm/s", "deg/s2", 6.0),
         (1.0, "r/min", "rpm", 1.0),
+        (6.0, "/min", "1/s", 0.1),
+        (6.0, " / min", "Hz", 0.1),
+        (3.0, "/m/min", "1/(m.s)", 0.05),
         (1.0, "arcsec", "arcmin", 1 / 60),
         (200.0, "gon", "rad", math.pi),
         (1.0, "day", "h", 24.0),
@@ -152,7 +155,8 @@ def test_units_of_models_are_those_that_people_type(value, unit, target, expecte
     assert found == pytest.approx(expected, rel=1e-14, abs=1e-13)  # measured 3e-15, 6e-14
 
 
-AMBIGUOUS = ["W/(m.K).s", "(m", "m)", "kkg", "kdeg", "mrpm", "k", "kdegC", "m/(s", "m/(/s)", "mhp"]
+AMBIGUOUS = ["W/(m.K).s", "(m", "m)", "kkg", "kdeg", "mrpm", "k", "kdegC", "mhp"]
+AMBIGUOUS += ["m/(s", "m/(/s)", "//s", "/"]
 BEHIND_A_QUOTIENT = ["N/(m/s)^2", "N/(m/s)2", "N.m/(rad/s)**2", "N/(m/s).kg"]
 
 
