@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from html import escape
+from textwrap import fill
 from typing import Any
 
 LONGEST_SENTENCE = 600  # characters of one message
@@ -40,9 +41,19 @@ def one_note(*notes: str | None) -> str:
     return "; ".join(filter(None, notes))
 
 
-def with_unit(value: float, unit: str) -> str:
+def with_unit(value: float, unit: str, digits: int = 6) -> str:
     """Return a number, with its unit if it has one."""
-    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+    return f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
+
+
+def axis_label(label: str, unit: str, letters: int = 100) -> str:
+    """Return the label of an axis, in lines of at most so many letters.
+
+    A number has no unit, and nor has a column of a file that names none.
+    """
+    brackets = [] if unit == "1" else [f"[{unit}]"]
+    text = " ".join([label, *brackets])
+    return text if len(text) <= letters else "\n".join([fill(label, letters), *brackets])
 
 
 def described(error: BaseException) -> str:

@@ -361,6 +361,13 @@ def test_drawing_needs_no_screen(tmp_path):
     assert (tmp_path / "x.png").exists()
 
 
+@pytest.mark.parametrize(("header", "label"), [("phi", "phi"), ("phi [deg]", "phi [deg]")])
+def test_axis_of_a_file_without_units_names_none(tmp_path, header, label):
+    (tmp_path / "run.csv").write_text(f"time,{header}\n0,1\n1,2\n")
+    run = cosim.Trajectory.read_csv(tmp_path / "run.csv")
+    assert [axis.get_ylabel() for axis in run.plot().axes] == [label]
+
+
 @pytest.mark.parametrize("header", ["phi", "phi [rad]", "phi [deg]"])
 @pytest.mark.parametrize("first", [True, False], ids=["file first", "model first"])
 def test_file_next_to_a_model_is_drawn_in_the_units_of_the_label(path_run, tmp_path, header, first):

@@ -21,7 +21,7 @@ from cosim.colors import CURVES, INVALID, SECOND
 from cosim.errors import UsageError
 from cosim.plotting import LINES, STYLE, Picture, keep_constant_flat, reject_formulas, shade_invalid
 from cosim.scene.scene import FigureSpec
-from cosim.text import moment
+from cosim.text import axis_label, moment
 from cosim.trajectory import Column, Trajectory
 from cosim.verify.comparison import apart, reject_other_times
 
@@ -46,7 +46,7 @@ def draw_panels(run: Trajectory) -> Figure:
             values = _displayed(run, column.name)
             axis.plot(run.time, values, linewidth=1.2, color=CURVES[0], marker=_mark(run))
             axis.set_title(fill(column.meaning or column.name, 52), fontsize=9)
-            axis.set_ylabel(f"{column.name} [{column.shown_unit}]")
+            axis.set_ylabel(axis_label(column.name, column.shown_unit))
             axis.set_xlabel("time [s]" if i >= len(run.names) - across else "")
             axis.tick_params(labelbottom=True)
             axis.margins(x=0)
@@ -254,8 +254,8 @@ def _residual_panels(
         above.plot(other.time, _displayed(other, name), **_POINTS, label=other.model)
         gaps = column.shown(residuals[name], difference=True)
         below.plot(residuals.time, gaps, **_POINTS)
-        above.set_ylabel(_beside(name, column.shown_unit, 19))
-        below.set_ylabel(_beside("residual", column.shown_unit, 16))
+        above.set_ylabel(axis_label(name, column.shown_unit, 19))
+        below.set_ylabel(axis_label("residual", column.shown_unit, 16))
         last = below
     if last is not None:
         last.tick_params(labelbottom=True)
@@ -336,10 +336,10 @@ def _panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[Trajectory])
             bad = run.time >= run.validity[0]
             over, values = _displayed(run, spec.x), _displayed(run, name, columns[0])
             axis.plot(over[bad], values[bad], color=INVALID, linewidth=2.2, alpha=0.4)
-        axis.set_xlabel(f"{spec.x_label or spec.x} [{runs[0].column(spec.x).shown_unit}]")
+        axis.set_xlabel(axis_label(spec.x_label or spec.x, runs[0].column(spec.x).shown_unit))
     label = spec.labels[index] if spec.labels else ", ".join(names)
     letters = 34 if spec.equal or len(spec.panels) == 1 else 19
-    axis.set_ylabel(_beside(label, columns[0].shown_unit, letters))
+    axis.set_ylabel(axis_label(label, columns[0].shown_unit, letters))
     if len(names) > 1:
         axis.legend()
     _scale(axis, spec, names, runs)
@@ -359,7 +359,7 @@ def _difference_panel(axis: Axes, spec: FigureSpec, index: int, runs: Sequence[T
             look = _look(i, len(names), k, len(runs))
             look |= {"label": legend if k == 1 else "", "marker": _mark(other)}
             axis.plot(runs[0].time, gap, linewidth=0.9, **look)
-    axis.set_ylabel(_beside("difference", first.shown_unit, 16))
+    axis.set_ylabel(axis_label("difference", first.shown_unit, 16))
     drawn = np.hstack([np.asarray(line.get_ydata(), dtype=float) for line in axis.lines])
     if np.isfinite(drawn).any() and not np.any(drawn, where=np.isfinite(drawn)):
         axis.set_ylim(-1, 1)
@@ -393,12 +393,6 @@ def _name_invalid(
         figure.legends[0].get_title().set_color(INVALID)
     elif captions:
         figure.supxlabel("\n".join(captions), fontsize=7, color=INVALID)
-
-
-def _beside(label: str, unit: str, letters: int) -> str:
-    """Return the label of a vertical axis, in lines of at most so many letters."""
-    text = f"{label} [{unit}]"
-    return text if len(text) <= letters else f"{fill(label, letters)}\n[{unit}]"
 
 
 def _displayed(run: Trajectory, name: str, like: Column | None = None) -> Vector:

@@ -23,7 +23,7 @@ from cosim.study.sensitivity.result import Sensitivity
 from cosim.study.tradeoff.configuration import Family
 from cosim.study.tradeoff.measurement import LEFT_OUT, Measurement
 from cosim.study.tradeoff.result import Tradeoff
-from cosim.text import Table
+from cosim.text import Table, axis_label, with_unit
 
 _NOTHING = 1e-9  # parts of eigenvalues below this share of the largest count as zero
 _CLOSE = 0.2  # share of the axis; texts of crossings with less between them stand higher in turn
@@ -57,15 +57,17 @@ def draw_eigenvalues(sweep: EigenvalueSweep) -> Figure:
         axis.fill_between(sweep.values, 0, 1, where=stable, label="stable", **band)
         axis.margins(x=0)
         axis.set(
-            xlabel=f"{sweep.name} [{sweep.unit}]",
+            xlabel=axis_label(sweep.name, sweep.unit),
             ylabel="eigenvalue of one period" if is_map else "eigenvalue [1/s]",
         )
         close, labels, previous, higher = _CLOSE * float(np.ptp(sweep.values)), [], -np.inf, False
         for crossing in sweep.crossings:
             axis.axvline(crossing.value, color="0.5", linewidth=0.8)
             higher = crossing.value - previous < close and not higher
-            outputs = [f"{n} {v:.4g} {sweep.units[n]}" for n, v in crossing.outputs.items()][:1]
-            lines = [crossing.mode, f"{crossing.value:.4g} {sweep.unit}", *outputs]
+            outputs = [
+                f"{n} {with_unit(v, sweep.units[n], 4)}" for n, v in crossing.outputs.items()
+            ][:1]
+            lines = [crossing.mode, with_unit(crossing.value, sweep.unit, 4), *outputs]
             labels.append("\n".join(lines + [""] * len(lines) * higher))
             previous = crossing.value
         axis.secondary_xaxis("top").set_xticks([c.value for c in sweep.crossings], labels)

@@ -180,7 +180,7 @@ def _plain(value: object, *names: str) -> dict[str, Any]:
 def column_facts(column: Column) -> dict[str, Any]:
     """Return what a page knows of a variable."""
     return _plain(column, "name", "meaning") | {
-        "unit": column.shown_unit,
+        "unit": column.shown_unit if column.shown_unit != "1" else "",
         "factor": float(column.shown(np.ones(1), difference=True)[0]),
         "offset": float(column.shown(np.zeros(1))[0]),
     }

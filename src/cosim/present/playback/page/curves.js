@@ -26,7 +26,7 @@ class Curves {
         this.build();
       });
       line.append(box, ` ${column.name}`);
-      line.title = `${column.meaning} [${column.unit}]`;
+      line.title = column.unit ? `${column.meaning} [${column.unit}]` : column.meaning;
       choice.append(line);
     });
   }
@@ -59,7 +59,7 @@ class Curves {
       dash: i ? [4 + 2 * i, 4] : position && this.results.length < 2 ? [10, 3 + 2 * position] : undefined, // equal ones show
       width: i ? 1 : 1.8,
       points: { show: time.length < 2 },
-      value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit === "1" ? "" : unit}`),
+      value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit}`),
     })));
     const options = {
       width: this.place.clientWidth, height: 170, legend: { live: true }, cursor: { drag: { x: false, y: false } },
@@ -67,7 +67,7 @@ class Curves {
       series: [{ label: "t", value: (_, v) => (v === null ? "-" : `${stepped(v, span / 100 || v)} s`) }, ...lines],
       axes: [{ ...axis, size: 34, space: (_, axis, low, high) => 20 + 7 * stepped(high - (high - low) / 40, (high - low) / 40).length },
         { ...axis, size: (_, texts) => Math.max(62, 20 + 7 * Math.max(...(texts || [""]).map((s) => s.length))),
-          label: unit === "1" ? "" : unit, labelSize: 18 }],
+          label: unit, labelSize: 18 }],
     };
     const plot = new uPlot(options, [[]], this.place);
     plot.over.addEventListener("click", (e) => this.jump(plot.posToVal(e.offsetX, "x")));

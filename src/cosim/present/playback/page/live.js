@@ -138,7 +138,7 @@ class Settings {
     Object.assign(slider, { type: "range", min: low * factor + offset, max: high * factor + offset, step: "any" });
     Object.assign(field, { type: "number", step: "any" });
     field.setAttribute("aria-label", `${name}, ${unit}`);
-    const end = Object.assign(document.createElement("span"), { textContent: unit === "1" ? "" : unit });
+    const end = Object.assign(document.createElement("span"), { textContent: unit });
     line.append(mark, slider, field, end);
     slider.addEventListener("input", () => this.choose(setting, (slider.valueAsNumber - offset) / factor));
     field.addEventListener("change", () => this.choose(setting, (field.valueAsNumber - offset) / factor));
