@@ -101,6 +101,18 @@ def test_display_unit_of_a_relative_quantity_without_definition_has_no_offset(tm
     assert (column.shown_unit, column.shown(5.0)) == ("degC", 5.0)
 
 
+@pytest.mark.parametrize(("unit", "kelvin"), [("degC", 5.0), ("K", 5.0), ("degF", 5.0 / 1.8)])
+def test_column_of_a_csv_file_is_a_difference_where_the_variable_is_one(tmp_path, unit, kelvin):
+    path = described_file(tmp_path / "a.fmu", "K", 'K="1"', facts=RELATIVE)
+    with unpacked(path) as folder:
+        description = read_description(folder, "a.fmu")
+    column = column_of(by_name(description)["y"], description)
+    like = Trajectory("a", [0.0], (column,), [[0.0]])
+    (tmp_path / "a.csv").write_text(f"time,y [{unit}]\n0,5\n")
+    read = Trajectory.read_csv(tmp_path / "a.csv", like=like)
+    assert read["y"] == pytest.approx([kelvin], rel=1e-14)
+
+
 def test_unit_that_a_file_does_not_define_has_its_usual_meaning(factors):
     assert factors("bar", None, "Pa", PRESSURE) == (1e5, 0.0)
 

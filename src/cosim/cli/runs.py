@@ -232,7 +232,11 @@ def model_columns(dae: Dae) -> Trajectory:
 def fmu_columns(path: str) -> Trajectory:
     """Return an empty run with all variables of an FMU that have a unit."""
     variables = part_of("fmu", path).variables.items()
-    own = tuple(Column(n, v.unit) for n, v in variables if v.unit and n != TIME)
+    own = tuple(
+        Column(n, v.unit, is_difference=v.is_difference)
+        for n, v in variables
+        if v.unit and n != TIME
+    )
     return _empty_run(path, own)
 
 

@@ -147,13 +147,9 @@ def display_of(variable: Any, description: Any) -> tuple[str | None, float | Non
     usual = None
     if own is not None and shown is not None and own.measures_like(shown):
         usual = conversion(own, shown)
-    if found is None and usual and usual[1] and is_relative(variable):
-        found = usual
     if found is None:
         return (name if usual else None), None, 0.0
     factor, offset = found
-    if is_relative(variable):
-        offset = 0.0
     is_close = partial(isclose, rel_tol=_ROUNDING, abs_tol=1e-12)
     if usual and all(map(is_close, (factor, offset), usual)):
         return name, None, 0.0

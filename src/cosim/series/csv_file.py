@@ -207,8 +207,10 @@ def _column(
     target = target or si_name(unit, source)
     if not source.measures_like(UNITS[target]):
         raise UsageError(f"{path}: {name} is in '{unit}', which does not convert to '{target}'")
-    shown = unit if unit != target and parse_unit(unit) else None
-    return known or Column(name, target, shown), source, UNITS[target]
+    shown, own = unit if unit != target and parse_unit(unit) else None, UNITS[target]
+    if known and known.is_difference:
+        source, own = source.difference(), own.difference()
+    return known or Column(name, target, shown), source, own
 
 
 def si_name(name: str, unit: Unit) -> str:

@@ -29,6 +29,7 @@ class Column:
         display_factor, display_offset: Shown value = factor * value + offset, where a file defines
             its own display unit; None for the definition that the name of the display unit has.
         is_state: Whether it is a state of the equations, which a solver controls.
+        is_difference: Whether its values are differences, for which an offset does not count.
 
     Example:
         >>> Column("phi", "rad", "deg").shown(np.array([np.pi]))
@@ -43,6 +44,7 @@ class Column:
     display_factor: float | None = None
     display_offset: float = 0.0
     is_state: bool = False
+    is_difference: bool = False
 
     @property
     def shown_unit(self) -> str:
@@ -61,6 +63,7 @@ class Column:
             values: In `unit`.
             difference: Whether they are differences of values, for which no offset counts.
         """
+        difference |= self.is_difference
         if self.display_factor is not None:
             scaled = values * self.display_factor
             return scaled if difference else scaled + self.display_offset

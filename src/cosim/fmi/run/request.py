@@ -20,7 +20,7 @@ from cosim.fmi.run.typed_values import (
     start_number,
     typed_value,
 )
-from cosim.fmi.units import display_of, units_for
+from cosim.fmi.units import display_of, is_relative, units_for
 from cosim.model.driving import followed, with_held
 from cosim.model.growth import Closer, Growth
 from cosim.model.inputs import InputSeries
@@ -390,6 +390,7 @@ def column_of(variable: Any, description: Any) -> Column:
         factor,
         offset,
         variable.name in _states(description),
+        is_relative(variable),
     )
 
 
