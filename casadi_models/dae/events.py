@@ -13,6 +13,7 @@ from casadi_models.dae.declaring import Declaring
 from casadi_models.dae.expressions import (
     COMPARING,
     RELATIONS,
+    as_text,
     column,
     no_expression,
     operations,
@@ -95,7 +96,7 @@ class Happening(Declaring):
                 use the values just before the event. All are assigned at once.
             name: For messages and `Trajectory.events`; "when CONDITION" if empty.
         """
-        name = name or f"when {condition}"
+        name = name or f"when {as_text(condition)}"
         self._reject_never(name, condition)
         self._event(condition, values, name)
 

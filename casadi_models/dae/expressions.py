@@ -178,6 +178,11 @@ def no_expression(what: str, value: object) -> str:
     return f"{what} is {represented(value)}; give an SX expression"
 
 
+def as_text(expression: SX) -> str:
+    """Return an expression as text, with the signs of negative numbers merged: x+3, not x--3."""
+    return str(expression).replace("--", "+").replace("+-", "-")
+
+
 def quoted(names: Iterable[str]) -> str:
     """Join names for a message."""
     return ", ".join(f"'{name}'" for name in names)

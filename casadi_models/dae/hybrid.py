@@ -17,7 +17,7 @@ from casadi import MX, SX
 
 from casadi_models.dae.blending import affine_in_modes
 from casadi_models.dae.events import Event
-from casadi_models.dae.expressions import RELATIONS, column, implicit_change, operations
+from casadi_models.dae.expressions import RELATIONS, as_text, column, implicit_change, operations
 from casadi_models.dae.frozen import Dae
 from casadi_models.dae.relations import KEEPS, LawsWithModes, Relation, mode_inputs, term_sizes
 from casadi_models.dae.time_bounds import Enclosures, TimeBounds, enclosures, time_bounds
@@ -227,7 +227,7 @@ class Hybrid:
         count = ca.Function("f", symbols, [relation.argument]).n_instructions()
         nested = ca.depends_on(relation.argument, self.modes)
         # CasADi prints by recursion, and a deep expression would end the process
-        text = str(relation.argument) if count < 40 and not nested else "@"
+        text = as_text(relation.argument) if count < 40 and not nested else "@"
         if "@" in text:  # CasADi's name of a part that is used twice; modes are no variables
             text = ", ".join([*self._variables_in(relation.argument)][:8])
         return f"{relation.operation} of {text}"

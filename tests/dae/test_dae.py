@@ -325,3 +325,19 @@ def test_derivatives_of_variables_in_foreign_units_have_these_units():
     model.derivative(stock, -stock)
     both = variational(model.freeze())
     assert [(v.unit, v.foreign_unit) for v in both.states] == 2 * [("widget", True)]
+
+
+@pytest.mark.parametrize(
+    ("condition", "text"),
+    [
+        (lambda x: x - 1 > -0.5, "when (-0.5<(x-1))"),
+        (lambda x: (x - 5.03) - (-0.003) > 0, "when (0<((x-5.03)+0.003))"),
+        (lambda x: x + (-2) > 0, "when (0<(x-2))"),
+    ],
+)
+def test_event_without_a_name_is_named_by_its_condition_with_joined_signs(condition, text):
+    model = Model("m", stop_time=1.0)
+    x = model.state("x", "1", 0.0, "x")
+    model.derivative(x, 1.0)
+    model.when(condition(x), {x: 0.0})
+    assert [event.name for event in model.freeze().events] == [text]

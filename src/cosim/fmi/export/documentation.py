@@ -9,7 +9,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.expressions import operation_count
+from casadi_models.dae.expressions import as_text, operation_count
 from cosim.drawing.diagram import diagram, icon
 from cosim.drawing.pose import start_pose
 from cosim.fmi.export.plan import Plan
@@ -51,7 +51,7 @@ def _text(expression: SX, parameters: Container[str]) -> str:
     symbols = ca.symvar(expression)
     count = operation_count(ca.Function("f", symbols, [expression]))
     if expression.is_scalar() and count < LONGEST_FORMULA:
-        text = str(expression)
+        text = as_text(expression)
         if len(text) <= LONGEST_FORMULA and "@" not in text:
             return text
     moving = ", ".join(s.name() for s in symbols if s.name() not in parameters)
