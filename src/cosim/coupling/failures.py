@@ -96,7 +96,7 @@ def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
         status = _STATUSES.get(system.status, "no status of the FMI")
         call = function = wiring.parts[name].function_name(system.function)
         call += f" returned {system.status} ({status})" if function.startswith("fmi") else " failed"
-        why = str(wiring.parts[name].explained(FmuError(call)))
+        why = wiring.parts[name].explained(FmuError(call))
         discards = system.status == _DISCARD and shorter
         remedy = as_models(wiring) if _is_endless(why) else shorter if discards else ""
         return f"part '{name}' failed after {time}: {why}{remedy}"

@@ -86,7 +86,7 @@ class OpenedPart:
             fmu.interface = Interface.MODEL_EXCHANGE
         self.description = fmu.description
         self.instance: Any = None
-        self.explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
+        self._explained: Callable[[Exception], FmuError] = lambda error: FmuError(str(error))
         self.solver: ExchangeSolver | None = None  # of a part for model exchange, while it runs
         self._callback = 0  # of it
         known, exchange = by_name(fmu.description), fmu.interface is Interface.MODEL_EXCHANGE
@@ -157,7 +157,7 @@ class OpenedPart:
             experiment: `startTime`, `stopTime` [s], `tolerance`.
         """
         self._drop_solver()
-        instance, self.explained = self._fmu.ready()
+        instance, self._explained = self._fmu.ready()
         if instance is not self.instance:
             self.instance, self.calls = instance, Calls(instance, self.description)
             self.lost_state = lost_state(instance, self.description)
@@ -171,6 +171,10 @@ class OpenedPart:
         found = {n: value for n, value in experiment.items() if value is not None}
         self._experiment = {**found, "stopTime": scale}
         begin_initialization(self.instance, self.description, values, **experiment)
+
+    def explained(self, error: Exception) -> str:
+        """Return what went wrong with the log of the part, whose name stands for its file."""
+        return str(self._explained(error)).removeprefix(f"{self.path}: ")
 
     def leave_initialization(self) -> None:
         """Leave initialization mode; a part for model exchange gets a solver."""
