@@ -213,7 +213,7 @@ def test_part_that_fails_ends_the_run_with_its_name_and_what_came_before(threads
     growth = single("growth", lambda x, u: x**2 + 0 * u, start=1.0)
     steady = single("steady", lambda x, u: 0 * u)
     system = cosim.couple({"growth": growth, "steady": steady}, {"growth.u": "steady.x"})
-    with pytest.raises(SolverError, match="part 'growth' failed after 1 s: fmi.DoStep") as caught:
+    with pytest.raises(SolverError, match=r"part 'growth' failed after 1 s: fmi.DoStep") as caught:
         system.simulate(stop_time=2, macro_step=0.1, threads=threads)
     run = caught.value.partial
     assert run.time[-1] == pytest.approx(0.9, abs=0.11)

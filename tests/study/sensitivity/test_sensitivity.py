@@ -390,3 +390,27 @@ def test_outputs_too_small_for_the_check_are_noted(nominal):
     check = cosim.sensitivity(model.freeze(), outputs=["y"], with_respect_to=["k"]).check
     note = "the bound is more than all derivatives of y (at most 4e-13), with the nominal value 1"
     assert (note in str(check)) == (nominal is None)
+
+
+@pytest.mark.parametrize(
+    ("condition", "right", "is_moved"),
+    [
+        (lambda x, t, k: x >= 1, -0.5, True),  # y = k t^2/2, reset of x at 1/k: y(1) = 1 - 1/(2k)
+        (lambda x, t, k: t * k >= 1, -0.5, True),
+        (lambda x, t, k: t >= 1, 0.5, False),
+    ],
+)
+@pytest.mark.parametrize("stop_time", [1.0, 1.5])
+def test_derivatives_at_the_time_of_an_event_that_moves_are_called_one_sided(
+    condition, right, is_moved, stop_time
+):
+    model = Model("m", stop_time=2.0)
+    k = model.parameter("k", "1/s", 1.0, "rate")
+    x, y = model.state("x", "1", 0.0, "ramp"), model.state("y", "s", 0.0, "its integral")
+    model.derivative(x, k)
+    model.derivative(y, x)
+    model.when(condition(x, model.t, k), {x: 0.0 * x}, name="reset")
+    found = sensitivity(model.freeze(), with_respect_to=["k"], stop_time=stop_time)
+    at_event = found["y", "k"][np.searchsorted(found.run.time, 1.0 - 1e-9)]
+    assert at_event == pytest.approx(right, abs=1e-9)
+    assert ("one-sided, those after an event, at 1 s (reset)" in found.check.note) is is_moved

@@ -25,7 +25,8 @@ class Agreement:
         time: Time of the largest difference, s.
         first, second: The derivative there, by both methods; SI.
         bound: Largest scaled difference that counts as agreement.
-        note: Outputs whose derivatives are too small for the bound.
+        note: Outputs whose derivatives are too small for the bound, and times at which events leave
+            one-sided derivatives only.
     """
 
     method: str

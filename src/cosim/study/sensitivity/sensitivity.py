@@ -37,8 +37,10 @@ from cosim.model.times import one_time
 from cosim.model.values import Values, assign, checked, listed, number, plain_values
 from cosim.series.samples import below
 from cosim.study.sensitivity.result import Agreement, Sensitivity
+from cosim.text import MOST_NAMES, one_note
 from cosim.trajectory import Column, Trajectory
 
+_SAME = 1e-6  # relative difference up to which an event changes nothing
 _variational = cached_per_thread(8)(variational)
 _reduced = cached_per_thread(8)(reduce)
 
@@ -336,15 +338,35 @@ class _Task:
     def between_events(self, times: Vector) -> Truths:
         """Return at which times all changed runs have passed equally many events, (n,)."""
         found = np.ones(len(times), dtype=bool)
-        common = self.events[0] if self.events else np.empty(0)
-        for events in self.events:
-            common = np.intersect1d(common, events)
+        common = self._resting_events
         for events in self.events:
             passed = np.searchsorted(events, times)
             found &= passed == np.searchsorted(self.events[0], times)
             moved = np.setdiff1d(events, common)  # samples stay where they are
             found &= ~one_time(times[:, None], moved, self.request.times.start).any(axis=1)
         return found
+
+    @property
+    def _resting_events(self) -> Vector:
+        """Times of events that no change moves, such as samples."""
+        common = self.events[0] if self.events else np.empty(0)
+        for events in self.events:
+            common = np.intersect1d(common, events)
+        return common
+
+    def one_sided(self, plain: Trajectory) -> str:
+        """Return a note on the times at which events that move change what is differentiated."""
+        found = dict[float, str]()
+        for event in plain.events:
+            at = plain.time[one_time(plain.time, event.time, self.request.times.start)]
+            before, after = ([*side.values()] for side in (event.before, event.after))
+            jumps = not np.allclose(before, after, rtol=_SAME, atol=0, equal_nan=True)
+            if len(at) and jumps and event.time not in self._resting_events:
+                found.setdefault(float(at[-1]), event.name)
+        if not found:
+            return ""
+        shown = [f"{time:g} s ({name})" for time, name in found.items()][:MOST_NAMES]
+        return f"derivatives are one-sided, those after an event, at {', '.join(shown)}"
 
     def changed(self, changes: Sequence[tuple[str, float]]) -> Vector:
         """Return the outputs with one value replaced at a time, (changes, n, ny)."""
@@ -391,6 +413,7 @@ class _Task:
             )
         method = f"finite differences of {self.solver} at {CHECK_TOLERANCE:g}"
         agreement = _agreement(result, second, method, bound, compared)
+        agreement = replace(agreement, note=one_note(agreement.note, self.one_sided(plain)))
         if not agreement.scaled <= bound:
             raise SolverError(
                 f"{model}: two methods disagree on a derivative: d {agreement.output} / d "
