@@ -189,7 +189,8 @@ static inline int run_fixed(Coupling *self) {
         if (same_time(system, end, system->stop)) end = system->stop;
         const int reaches = end <= system->goal || same_time(system, end, system->goal);
         self->next.t = fmin(reaches ? end : system->goal, next_event(self));
-        if (system->method >= EXTRAPOLATED && save_all(self)) return CALL_FAILED;
+        const int goes_back = self->ends_at_end || system->method >= EXTRAPOLATED;
+        if (goes_back && save_all(self)) return CALL_FAILED;
         double error = 0;
         const int how = given_step(self, &error);
         if (how == BROKEN) return (int)system->how;

@@ -74,6 +74,7 @@ typedef struct {
     System *system;
     Fmu fmu;
     int feedthrough, all_roll_back;
+    int ends_at_end;    /* whether a macro step ends where a part ends the run */
     int ends_at_events; /* whether macro steps end at events of parts */
     double event;       /* the time of one that ends the next macro step */
     double missed;      /* the time of one to which a macro step was rejected */

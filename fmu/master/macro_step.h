@@ -324,7 +324,7 @@ static inline int after_failed_step(Coupling *self, int how) {
     self->ends = how == PART_ENDED;
     /* at the start of a step that may be shorter, a part may not tell how far it comes */
     const int is_known = !may_be_shortened(self) || !same_time(system, reached, self->now.t);
-    if (how == AT_EVENT || (self->ends && self->ends_at_events && is_known)) {
+    if (how == AT_EVENT || (self->ends && self->ends_at_end && is_known)) {
         self->event = reached;
         return EVENT_WITHIN;
     }

@@ -75,11 +75,11 @@ static inline int begin_run(Coupling *self) {
     self->now.t = system->time = system->start;
     forget_event(self);
     memcpy(self->now.u, system->u, (size_t)m * sizeof *self->now.u);
-    self->ends_at_events = system->method >= EXTRAPOLATED;
     self->all_roll_back = 1;
     for (long long p = 0; p < system->n_parts; ++p)
         self->all_roll_back &= system->parts[p].rolls_back != 0;
-    self->ends_at_events &= self->all_roll_back && !system->quantum;
+    self->ends_at_end = self->all_roll_back && !system->quantum;
+    self->ends_at_events = self->ends_at_end && system->method >= EXTRAPOLATED;
     for (long long i = 0; i < system->outputs * m; ++i) self->feedthrough |= system->feeds[i] != 0;
     int in_event_mode = 0; /* after the initialization */
     for (long long p = 0; p < system->n_parts; ++p)

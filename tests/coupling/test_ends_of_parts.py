@@ -80,6 +80,19 @@ def test_system_of_files_ends_where_its_part_does(way, abilities, files):
     assert_ends(run_of(files, way, **abilities), way)
 
 
+@pytest.mark.parametrize("way", [*GIVEN, *CUBIC], ids=lambda way: way["method"])
+def test_session_ends_where_the_run_does(way, files):
+    """Before, with constant inputs it ended where the macro step had begun, at 0.3 s."""
+    system = cosim.couple(dict(zip("ab", files, strict=True)), {"b.u": "a.h"}, stop_time=2.0)
+    run = system.simulate(**way)
+    with cosim.open(system, **way) as session:
+        session.advance(to=1.0)
+        assert session.time == pytest.approx(run.time[-1], abs=1e-12)
+        assert session.time == pytest.approx(END, abs=3e-9)
+        np.testing.assert_allclose(session.get(run.names), [*run.final.values()], atol=1e-12)
+        assert session.stop == "low enough (part 'a')"
+
+
 # motor.y = 1 at its start, and the motor discards what leads beyond 0.456 s; whether it steps there
 # first and tells so, as the FMI wants
 STOPS = (

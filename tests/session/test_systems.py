@@ -1,6 +1,8 @@
 """Sessions of systems with FMUs as parts: the bits of whole runs, and going back as one."""
 
 import random
+import subprocess
+import sys
 from dataclasses import replace
 from math import exp
 
@@ -109,6 +111,24 @@ def test_input_is_felt_at_once_and_constant_within_steps(way, files):
         assert session["motor.u"] == 3.0
         session.advance(to=1.0)
         assert session["motor.x"] == pytest.approx(3 + (exp(-0.5) - 3) * exp(-0.5), abs=1e-9)
+
+
+# -- ends -----------------------------------------------------------------------------------------
+
+_LEFT_OPEN = """
+import cosim
+session = cosim.open(cosim.couple({{"a": {lag!r}, "b": {lag!r}}}, {{"a.u": "b.y"}}), **{way})
+session.advance(to=0.1)
+"""
+
+
+@EVERY_WAY
+def test_python_ends_with_a_session_that_is_open(way, files):
+    """Before, parts were freed first, and their states then crashed the process (139)."""
+    script = _LEFT_OPEN.format(lag=str(files["lag"]), way=way)
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 # -- failures -------------------------------------------------------------------------------------

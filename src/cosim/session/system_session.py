@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any, NoReturn
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,6 +73,7 @@ class SystemSession(Life):
         self._system, self._settings, self._ends = system, settings, ends
         self._instances = system.instances()
         self._stack.callback(self._instances.close)
+        finalize(self, self._stack.close)  # when Python ends, before what parts free themselves
         self._begun = self._stack.enter_context(ExitStack())  # freed before the instances
         self._called = ctypes.c_longlong(-1)
         self._connectors: Mapping[str, Connector] = system.connectors
