@@ -23,6 +23,7 @@ typedef struct {
     Model *model;
     Fmu fmu;
     Exchange exchange;
+    double passed; /* the time of the last event */
 } Stepped;
 
 enum { NUMBERS = 3 + NX + NZ };
@@ -140,6 +141,7 @@ static int leave_events(void *stepper) {
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
     const Functions *call = self->fmu.call;
+    self->passed = solver->t;
     const size_t n = (size_t)self->model->run.states, nz = (size_t)self->model->run.indicators;
     const int wrong = /* indicators are with the inputs of now */
         failed(&self->fmu, "enter_continuous_time_mode",
@@ -163,6 +165,29 @@ static inline int outputs_at(Stepped *self, double t, const double *x, const uin
 
 static const double SHARE = 1e-5;      /* of a solver's step, for differences */
 static const double LEAST_MOVE = 1e-8; /* of states in them, of their size */
+enum { POINTS = 3 };
+static const double OFFSETS[2][POINTS] = {{-1, 1, 0}, {1, 2, 3}}; /* around, and on one side */
+static const double WEIGHTS[2][POINTS] = {{-0.5, 0.5, 0}, {-2.5, 4, -1.5}};
+
+/* The side of the present time on which the outputs go on smoothly: -1 before an event in reach of
+ * differences over *d, 1 after one; 0 for both sides. From there on, *d reaches no other event of
+ * time. Returns whether that failed. */
+static inline int find_side(Stepped *self, double *d, int *side) {
+    Exchange *solver = &self->exchange;
+    const double t = solver->t, reach = OFFSETS[1][POINTS - 1] * *d;
+    const double since = self->passed <= t ? t - self->passed : INFINITY;
+    const double ahead = solver->events.next_defined ? solver->events.next - t : INFINITY;
+    const int waits = ahead <= resolution(&self->model->run, t);
+    double x[NX], z[NZ];
+    *side = since <= reach && !waits ? 1 : -(ahead <= reach);
+    if (*side) *d = fmin(*d, (*side > 0 ? ahead : since) / (POINTS + 1));
+    for (int way = -1; self->model->run.indicators && way <= 1; way += 2) {
+        for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + way * reach * solver->k[0][i];
+        if (indicators_at(solver, t + way * reach, x, z)) return 1;
+        if (crossed(solver, z)) *side = -way;
+    }
+    return 0;
+}
 
 /* Derivatives of outputs by time while the inputs stay, by differences along the motion. */
 static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
@@ -170,7 +195,8 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
     Stepped *self = stepper;
     Exchange *solver = &self->exchange;
     const double t = solver->t, span = self->model->run.stop - self->model->run.start;
-    double x[NX], before[TOGETHER] = {0};
+    double x[NX], y[TOGETHER], sum[TOGETHER] = {0};
+    int side = 0;
     (void)orders, (void)count;
     self->fmu.function = NULL;
     self->fmu.status = OK;
@@ -183,12 +209,16 @@ static int rates_of_model(void *stepper, const uint32_t *references, size_t n,
         d = fmin(d, fmax(own, LEAST_MOVE / rate));
         wrong = is_final(solver);
     }
+    wrong = wrong || find_side(self, &d, &side);
     d = t + fmax(d, 1e4 * DBL_EPSILON * fabs(t)) - t; /* as both times are rounded */
-    for (int side = -1; !wrong && side <= 1; side += 2) {
-        for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + side * d * solver->k[0][i];
-        wrong = outputs_at(self, t + side * d, x, references, n, side < 0 ? before : rates);
+    for (int point = 0; !wrong && point < POINTS; ++point) {
+        const double move = (side ? side : 1) * OFFSETS[side != 0][point] * d;
+        const double weight = (side ? side : 1) * WEIGHTS[side != 0][point];
+        for (int i = 0; i < NX; ++i) x[i] = solver->x[i] + move * solver->k[0][i];
+        wrong = outputs_at(self, t + move, x, references, n, y);
+        for (size_t i = 0; !wrong && i < n; ++i) sum[i] += weight * y[i];
     }
-    for (size_t i = 0; !wrong && i < n; ++i) rates[i] = (rates[i] - before[i]) / (2 * d);
+    for (size_t i = 0; !wrong && i < n; ++i) rates[i] = sum[i] / d;
     const int status = wrong ? status_of(self, CALL_FAILED) : OK;
     return move_fmu(solver, t, solver->x) ? status_of(self, CALL_FAILED) : status;
 }
@@ -258,6 +288,7 @@ SHARED int open_model(Model *model) {
     self->exchange.ode = (Ode){exchange_slope, exchange_scale, &self->exchange};
     Functions *steps = model->steps;
     *steps = *model->run.functions;
+    self->passed = -INFINITY;
     steps->stepper = self;
     steps->do_step_3 = step_model;
     steps->enter_event_mode = enter_events;
