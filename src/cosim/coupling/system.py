@@ -150,7 +150,7 @@ class System:
             if not isinstance(subject, Dae):
                 raise UsageError(
                     f"{self.name}: part '{name}' is an FMU, whose equations are not known; "
-                    "simulate the system by co-simulation (--method, or System.simulate)"
+                    "co-simulation runs it: cosim simulate, plot or tradeoff; System.simulate"
                 )
             own = {v: value for (p, v), value in self.start_values.items() if p == name}
             models[name] = requested(subject, start_values=own).configured() if own else subject

@@ -11,6 +11,7 @@ from cosim.host.last_call import noted_in
 from cosim.trajectory import Trajectory
 
 _FACTS, _ROWS = "facts.pickle", "rows"
+_BLOCK = 1000  # rows that are looked at together
 
 
 def new_rows(request: FmuRequest) -> Vector:
@@ -32,8 +33,13 @@ def kept_run(folder: Path, status: str) -> Trajectory | None:
     """Return what a child process has recorded of its first run; None if there is nothing."""
     try:
         name, times, columns = pickle.loads((folder / _FACTS).read_bytes())
-        rows = np.fromfile(folder / _ROWS).reshape(-1, len(columns))
+        mapped = np.memmap(folder / _ROWS, np.float64, "r").reshape(-1, len(columns))
     except (OSError, ValueError, EOFError, pickle.UnpicklingError):
         return None
-    count = int(np.append(np.isfinite(rows).all(axis=1), False).argmin())  # of the first rows
-    return Trajectory(name, times[:count], columns, rows[:count], status=status) if count else None
+    count, more = 0, _BLOCK
+    while more == _BLOCK:  # most of a file may be empty
+        complete = np.isfinite(mapped[count : count + _BLOCK]).all(axis=1)
+        more = int(np.append(complete, False).argmin())
+        count += more
+    rows = np.array(mapped[:count])
+    return Trajectory(name, times[:count], columns, rows, status=status) if count else None
