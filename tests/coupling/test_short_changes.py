@@ -161,14 +161,17 @@ def test_a_short_pulse_that_drives_an_open_input_is_not_stepped_over():
 
 @pytest.mark.parametrize("step", [{"macro_step": 0.01}, {"accuracy": 1e-6}])
 @pytest.mark.parametrize("width", [1e-3, 0.03])  # a corner is, or is not, where a macro step ends
-@pytest.mark.parametrize("size", [1.0, 1e4])
-def test_corners_of_a_table_that_drives_a_part_keep_their_slopes(size, width, step):
+@pytest.mark.parametrize(("size", "switches"), [(1.0, False), (1e4, False), (1.0, True)])
+def test_corners_of_a_table_that_drives_a_part_keep_their_slopes(size, switches, width, step):
     """v' = f, the table over the time, whose integral is its size.
 
     Slopes were means of both sides, which made 8 % of v, or macro steps that became too short.
     """
     force = cosim.Model("force", stop_time=STOP)
-    force.derivative(force.state("x", "1", 0.0, "rest"), 0.0)
+    x = force.state("x", "1", 0.0, "ramp")
+    force.derivative(x, 0.1)
+    if switches:
+        force.when(x > 0.75, {x: 0.0})
     force.output("f", "1", size * table(force.t, width), "force")
     mass = cosim.Model("mass", stop_time=STOP)
     mass.derivative(mass.state("v", "1", 0.0, "speed"), mass.input("f", "1", 0.0, "force"))

@@ -7,8 +7,11 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+
 from casadi_models.dae import Dae
 from casadi_models.dae.coupled import Connection
+from casadi_models.dae.expressions import operations
 from casadi_models.dae.variables import is_name
 from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
@@ -18,6 +21,7 @@ from cosim.fmi.run.description import by_name, read_description, unit_of
 from cosim.fmi.run.request import holds_value, is_settable
 from cosim.fmi.run.typed_values import NUMERIC, RANGES, REALS
 from cosim.fmi.units import Measured, change_of_units, is_relative, units_for
+from cosim.integrate.modes import hybrid
 from cosim.memo import cached_per_thread
 from cosim.model.catalogue import model_of
 
@@ -111,6 +115,18 @@ class Part:
         own = [v.name for v in self.variables.values() if v.name.startswith(f"{name}[")]
         numbers = own if array else [name]
         return [one for one in numbers if NUMERIC.fullmatch(self.variables[one].type)]
+
+    @property
+    def version_to_run(self) -> int:
+        """The version of the FMI in which a model is exported to be a part.
+
+        Events end macro steps by the event mode of FMI 3.0. Where outputs that drive others call
+        tables it is 2.0, whose model exchange has rates on both sides of a corner.
+        """
+        dae = self.subject
+        if not isinstance(dae, Dae) or hybrid(dae) is None:
+            return 2
+        return 2 if ca.OP_CALL in operations(dae.driving_outputs) and not dae.algebraics else 3
 
 
 def part_of(name: str, subject: object, folder: Path = Path()) -> Part:

@@ -30,7 +30,6 @@ from cosim.fmi.ssp import write_ssp
 from cosim.fmi.units import change_of_units
 from cosim.host.temporary import temporary_folder
 from cosim.integrate.keywords import SpanKeywords, requested
-from cosim.integrate.modes import hybrid
 from cosim.model.request import choice
 from cosim.model.times import time_grid
 from cosim.model.values import listed, number, plain_values
@@ -445,12 +444,7 @@ class System:
 
     @cached_property
     def _files_to_run(self) -> dict[str, Path]:
-        # events end macro steps by the event mode, which FMI 2.0 does not have
-        versions = {
-            n: 3 if isinstance(p.subject, Dae) and hybrid(p.subject) else 2
-            for n, p in self.parts.items()
-        }
-        return self._exported(versions)
+        return self._exported({name: p.version_to_run for name, p in self.parts.items()})
 
     def instances(self) -> CoSimulation:
         """Return new instances of the parts; whoever asks for them closes them."""
