@@ -27,7 +27,8 @@ from cosim.integrate.location import Piece, located, located_at_end, with_input_
 from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding, watch
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
-from cosim.integrate.passed_over import attentive, between, with_conditions, with_note_on_steps
+from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
+from cosim.integrate.places import between
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries

@@ -1,14 +1,12 @@
-"""`attentive`: a motion whose steps pass over no term that time or one state determines.
+"""`attentive`: a motion whose steps pass over no term that time or a few quantities determine.
 
-A solver meets the equations at the stages of its steps only: a bump of the ground between two of
-them has no effect, and no error estimate shows it. Where such a term bends within a part of a step
-is known from its bounds. There the motion must obey the equations: the change of the states is the
-integral of their rates. Where it does not, it is computed again with steps that end there.
+Where such a term bends within a part of a step (`integrate.places`), the motion must obey the
+equations: the change of the states is the integral of their rates. Where it does not, it is
+computed again with steps that end there.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from itertools import pairwise
 
 import casadi as ca
@@ -16,64 +14,27 @@ import numpy as np
 
 from casadi_models.dae import Dae
 from casadi_models.dae.expressions import RELATIONS, operations
-from casadi_models.dae.single_terms import single_terms
 from cosim.arrays import Vector
-from cosim.codegen.changes import apart, bent_parts, parted, with_surroundings
-from cosim.codegen.landmarks import knots_of, way_of
-from cosim.codegen.terms import Terms, terms_of
+from cosim.codegen.changes import parted
 from cosim.integrate.call import INTERRUPTED
-from cosim.integrate.excursions import excursions, several_terms_of
+from cosim.integrate.excursions import several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
+from cosim.integrate.places import Place, counted, has_terms, places_on, rows_between
 from cosim.memo import cached_per_thread
-from cosim.model.inputs import InputSeries
 from cosim.model.values import own_sizes
 
 Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
 
 _EFFECT = 100.0  # least defect of a state that matters, in tolerances
-_PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
-_BEYOND = 0.05  # of a way, by which rows may miss its ends
-_MOST_CELLS = 4_000  # parts of a way
-_ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
-_INNER = 4  # intervals of a part of a place over which rates are integrated
 _CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
 _LOOKS = 2  # for places: the second has rows in those of the first, and finds them exactly
 _MOST_ENDS = 1_000  # of steps in a place
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Where a term bends: its edges, s, what moves it, and its values on a path."""
-
-    edges: Vector
-    name: str
-    values: Callable[[Path], Vector]
-
-    @property
-    def begin(self) -> float:
-        """Its first time, s."""
-        return float(self.edges[0])
-
-    @property
-    def end(self) -> float:
-        """Its last time, s."""
-        return float(self.edges[-1])
-
-    @property
-    def is_narrow(self) -> bool:
-        """Whether it is narrower than rounding."""
-        return len(self.edges) == 1
-
-    @property
-    def times(self) -> Vector:
-        """Times in it, and as far before and after it as it is long, s."""
-        return with_surroundings(self.edges, _INNER)
-
-
 def attentive(attempt: Attempt, grid: Vector, tolerance: float, dae: Dae) -> Motion:
-    """Return the motion over output times whose steps pass over no term of time or one state.
+    """Return the motion over output times whose steps pass over no term that bends.
 
     With validity conditions, it has rows where terms bend, too.
 
@@ -84,50 +45,107 @@ def attentive(attempt: Attempt, grid: Vector, tolerance: float, dae: Dae) -> Mot
         dae: The equations with the conditions of events; see `with_conditions`.
     """
     plain = attempt(grid, np.empty(0))
-    steps = _counted(plain)
-    if plain.reason or len(plain.time) < 2 or not _has_terms(dae):
+    if plain.reason or len(plain.time) < 2 or not has_terms(dae):
         return plain
-    rows, ends, places = rows_between(plain, grid), np.empty(0), list[Place]()
-    motion = attempt(np.union1d(grid, rows), ends) if len(rows) else plain
-    passed = list[Place]()
-    settled, narrow = list[Place](), list[Place]()
-    for _ in range(_MOST_ROUNDS):
-        found = _apart(_found(dae, motion, steps), places)
-        new = [place for place in found if not place.is_narrow]
-        narrow = [place for place in found if place.is_narrow] or narrow
-        if motion.reason or not (passed or new):
-            break
-        places += new
-        if len(places) > _MOST_PLACES:
-            passed = passed or new
-            break
-        rows = _inside(grid, [rows, *(place.times for place in new)])
-        divided = [_divided(motion, place, ends) for place in passed]
-        fewer, ends = ends, _inside(grid, [ends, *divided])
-        if passed and not new and len(ends) == len(fewer):
-            break
-        before, motion = motion, attempt(np.union1d(grid, rows), ends)
-        least = _EFFECT * tolerance * _sizes(motion)
-        settled += [place for place in passed if _is_settled(before, motion, place, least)]
-        passed = [
-            place for place in places if place not in settled and _is_passed(motion, place, least)
-        ]
-    searched = motion
-    if searched.reason == INTERRUPTED:
-        return searched
-    if plain.dae.limits and places:
-        motion = attempt(np.union1d(grid, _inside(grid, [place.times for place in places])), ends)
-    else:
-        motion = attempt(grid, ends) if len(ends) else plain
-    least = _EFFECT * tolerance * _sizes(searched)
-    complete = not searched.reason and motion.reason != INTERRUPTED
-    if places and complete and not _agree(searched, motion, grid, least):
-        motion = searched  # whose rows let the solver see what it otherwise passes over
-    if narrow and not passed:
-        return replace(motion, note=f"{_passing(narrow[0])}, which is shorter than rounding")
-    if not passed:
-        return _with_note_on_unbounded(dae, motion)
-    return replace(motion, note=f"{_passing(passed[0])}; set max_step")
+    search = _Search(attempt, grid, tolerance, dae, plain)
+    search.run()
+    if search.motion.reason == INTERRUPTED:
+        return search.motion
+    return replace(search.result(), note=search.note())
+
+
+class _Search:
+    """A search for what steps pass over, by motions with ever more rows and ends of steps.
+
+    Args:
+        attempt, grid, tolerance, dae: See `attentive`.
+        plain: The motion over output times alone.
+
+    Attributes:
+        motion: The last one, with all rows and ends of steps.
+        rows, ends: Further times of rows, and of ends of steps, within the grid, s.
+        places: Where terms bend.
+        passed: Those of them that the steps of the last motion pass over.
+        settled: Those in which more steps have changed nothing.
+        narrow: Those narrower than rounding, of the last motion that has any.
+    """
+
+    def __init__(
+        self, attempt: Attempt, grid: Vector, tolerance: float, dae: Dae, plain: Motion
+    ) -> None:
+        self.attempt, self.grid, self.tolerance, self.dae = attempt, grid, tolerance, dae
+        self.plain = self.motion = plain
+        self.rows, self.ends = rows_between(plain, grid), np.empty(0)
+        self.places, self.passed = list[Place](), list[Place]()
+        self.settled, self.narrow = list[Place](), list[Place]()
+
+    def run(self) -> None:
+        """Refine the motion until it passes over no place, or a finer one is of no use."""
+        if len(self.rows):
+            self.motion = self._refined()
+        for _ in range(_MOST_ROUNDS):
+            new = self._new_places()
+            if self.motion.reason or not (self.passed or new):
+                return
+            self.places += new
+            if len(self.places) > _MOST_PLACES:
+                self.passed = self.passed or new
+                return
+            is_finer = self._divide_steps()
+            if self.passed and not new and not is_finer:
+                return
+            self.rows = _inside(self.grid, [self.rows, *(place.times for place in new)])
+            before, self.motion = self.motion, self._refined()
+            self._judge(before)
+
+    def _refined(self) -> Motion:
+        return self.attempt(np.union1d(self.grid, self.rows), self.ends)
+
+    def _new_places(self) -> list[Place]:
+        """Return where terms bend outside the known places; those of no width are noted."""
+        found = _apart(places_on(self.dae, self.motion, counted(self.plain)), self.places)
+        self.narrow = [place for place in found if place.is_narrow] or self.narrow
+        return [place for place in found if not place.is_narrow]
+
+    def _divide_steps(self) -> bool:
+        """Let steps end within the places that were passed over; return whether any does anew."""
+        fewer = len(self.ends)
+        divided = [_divided(self.motion, place, self.ends) for place in self.passed]
+        self.ends = _inside(self.grid, [self.ends, *divided])
+        return len(self.ends) > fewer
+
+    def _judge(self, before: Motion) -> None:
+        """Note which places the motion passes over still, and which it does not need to see."""
+        least = self._least_effects()
+        self.settled += [p for p in self.passed if _is_settled(before, self.motion, p, least)]
+        open_ones = (place for place in self.places if place not in self.settled)
+        self.passed = [place for place in open_ones if _is_passed(self.motion, place, least)]
+
+    def _least_effects(self) -> Vector:
+        """Return the differences of the states that matter, (nx,)."""
+        return _EFFECT * self.tolerance * _sizes(self.motion)
+
+    def result(self) -> Motion:
+        """Return the motion over output times, with steps that end where those of the last do."""
+        motion = self.plain
+        if self.plain.dae.limits and self.places:
+            rows = _inside(self.grid, [place.times for place in self.places])
+            motion = self.attempt(np.union1d(self.grid, rows), self.ends)
+        elif len(self.ends):
+            motion = self.attempt(self.grid, self.ends)
+        if not self.places or self.motion.reason or motion.reason == INTERRUPTED:
+            return motion
+        # its rows may let the solver see what it otherwise passes over
+        agree = _agree(self.motion, motion, self.grid, self._least_effects())
+        return motion if agree else self.motion
+
+    def note(self) -> str:
+        """Return what steps may have passed over nevertheless; empty if nothing."""
+        if self.passed:
+            return f"{_passing(self.passed[0])}; set max_step"
+        if self.narrow:
+            return f"{_passing(self.narrow[0])}, which is shorter than rounding"
+        return _note_on_unbounded(self.dae, "max_step")
 
 
 def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
@@ -137,12 +155,12 @@ def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
         motion: The first motion that `attentive` looks at.
         dae: See `attentive`.
     """
-    if not _has_terms(dae):
+    if not has_terms(dae):
         return motion
-    steps = _counted(motion)
-    if not motion.is_as_dense_as(2 * steps) or _found(dae, motion, steps):
+    steps = counted(motion)
+    if not motion.is_as_dense_as(2 * steps) or places_on(dae, motion, steps):
         return None
-    return _with_note_on_unbounded(dae, motion)
+    return replace(motion, note=_note_on_unbounded(dae, "max_step"))
 
 
 @cached_per_thread(16)
@@ -183,7 +201,7 @@ def _with_outputs(dae: Dae, names: tuple[str, ...]) -> tuple[Dae, list[int]]:
 def may_change(dae: Dae, names: tuple[str, ...]) -> bool:
     """Return whether outputs, or the equations, have terms or relations of `changes_of`."""
     watched, alone = _with_outputs(dae, names)
-    return bool(alone) or _has_terms(watched)
+    return bool(alone) or has_terms(watched)
 
 
 def changes_of(
@@ -203,73 +221,20 @@ def changes_of(
     if len(grid) < 2:
         return np.empty(0)
     watched, alone = _with_outputs(dae, names)
-    steps = _counted(motion)
+    steps = counted(motion)
     switched = [a.t for a, b in motion.instants if (a.modes != b.modes)[alone].any()]
     switches = [np.array(switched)]
     rows = rows_between(motion, grid)
     places = list[Place]()
     for _ in range(_LOOKS):
         motion = again(rows) if len(rows) else motion
-        places = _found(watched, motion, steps)
+        places = places_on(watched, motion, steps)
         if len(places) > _MOST_PLACES:  # to look at each would take minutes and gigabytes
             return _inside(grid, switches)
         if not places:
             break
         rows = _inside(grid, [rows, *(place.times for place in places)])
     return _inside(grid, [*switches, *(place.edges for place in places)])
-
-
-def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what moves the terms that no step passes over, and those that a step may pass over.
-
-    The names of several quantities of one term are joined by commas.
-    """
-    names = _moving(dae)
-    single, several = [names[moving] for moving in single_terms(dae)], several_terms_of(dae)
-    if several is None:
-        return tuple(single), ()
-    return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
-
-
-def _counted(motion: Motion) -> int:
-    return min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
-
-
-def _has_terms(dae: Dae) -> bool:
-    return bool(terms_of(dae)) or several_terms_of(dae) is not None
-
-
-def _moving(dae: Dae) -> list[str]:
-    """Return the names of what may move terms."""
-    return [*(state.name for state in dae.states), "time"]
-
-
-def _moved(terms: Terms, path: Path) -> Vector:
-    """Return what moves some terms on a path, (n,)."""
-    return np.asarray(np.vstack((path.states, path.time))[terms.moving])
-
-
-def _along(terms: Terms, term: int, p: Vector, path: Path) -> Vector:
-    return terms.value(term, p)(_moved(terms, path))
-
-
-def _found(dae: Dae, motion: Motion, steps: int) -> list[Place]:
-    """Return where terms bend within a part of an average step."""
-    names = _moving(dae)
-    path, p, found = Path.of(motion), motion.p, list[Place]()
-    for terms in terms_of(dae):
-        turned = path.with_turns(terms.moving)
-        for term, edges in _bends(terms, turned, dae, p, steps):
-            values = partial(_along, terms, term, p)
-            times = _times(turned.time, _moved(terms, turned), edges)
-            found += [Place(own, names[terms.moving], values) for own in times]
-    several = several_terms_of(dae)
-    if several is None:
-        return found
-    for term, edges in excursions(several, path, p, steps):
-        values = partial(several.along, term, p)
-        found.append(Place(edges, several.names[term], values))
-    return found
 
 
 def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
@@ -286,38 +251,22 @@ def _agree(one: Motion, other: Motion, grid: Vector, least: Vector) -> bool:
     return bool(same) and len(one.events) == len(other.events)
 
 
-def _with_note_on_unbounded(dae: Dae, motion: Motion, remedy: str = "max_step") -> Motion:
+def _note_on_unbounded(dae: Dae, remedy: str) -> str:
+    """Return what steps may pass over where terms have no bounds; empty if all have."""
     terms = several_terms_of(dae)
     if terms is None or not terms.unbounded:
-        return motion
-    text = f"steps may pass over changes of a term of {terms.unbounded[0]}; set {remedy}"
-    return replace(motion, note=text)
+        return ""
+    return f"steps may pass over changes of a term of {terms.unbounded[0]}; set {remedy}"
 
 
 def with_note_on_steps(motion: Motion) -> Motion:
     """Return the motion of equal steps, with a note if a term changes within a part of one."""
     if len(motion.time) < 2 or motion.reason:
         return motion
-    steps = _counted(motion)
-    found = _found(motion.dae, motion, steps) if _has_terms(motion.dae) else []
-    if not found:
-        return _with_note_on_unbounded(motion.dae, motion, "a smaller step_size")
-    return replace(motion, note=f"{_passing(found[0])}; set a smaller step_size")
-
-
-def finer_than_steps(motion: Motion, inputs: InputSeries | None) -> str:
-    """Return which table, or rows of inputs, has more values than a motion has equal steps."""
-    begin, end = motion.time[[0, -1]]
-    if inputs is not None:
-        rows = (begin < inputs.time) & (inputs.time < end)
-        if rows.sum() > _counted(motion):
-            return f"steps pass over rows of {', '.join(inputs.names)}"
-    path = Path.of(motion)
-    for terms in terms_of(motion.dae):
-        x, knots = _moved(terms, path), _knots(motion.dae, terms, motion.p)
-        if ((x.min() < knots) & (knots < x.max())).sum() > _counted(motion):
-            return f"steps pass over knots of a table of {_moving(motion.dae)[terms.moving]}"
-    return ""
+    dae, remedy = motion.dae, "a smaller step_size"
+    found = places_on(dae, motion, counted(motion)) if has_terms(dae) else []
+    note = f"{_passing(found[0])}; set {remedy}" if found else _note_on_unbounded(dae, remedy)
+    return replace(motion, note=note)
 
 
 def _sizes(motion: Motion) -> Vector:
@@ -341,71 +290,6 @@ def _inside(grid: Vector, times: list[Vector]) -> Vector:
     """Return the times within a grid, each once."""
     every = np.unique(np.concatenate(times))
     return np.asarray(every[(grid[0] < every) & (every < grid[-1])])
-
-
-def rows_between(motion: Motion, grid: Vector) -> Vector:
-    """Return times within a grid, s, if the rows of a motion show too little of it; else none."""
-    steps = _counted(motion)
-    return np.empty(0) if motion.is_as_dense_as(2 * steps) else between(grid, steps)
-
-
-def between(grid: Vector, steps: int) -> Vector:
-    """Return a grid with times between its own, so that every average step has several."""
-    steps = min(steps, _MOST_STEPS)
-    count = np.ceil(_ROWS * steps * np.diff(grid) / (grid[-1] - grid[0])).astype(int)
-    gaps = [np.linspace(a, b, n + 1) for a, b, n in zip(grid, grid[1:], count, strict=False)]
-    return np.concatenate(gaps)
-
-
-def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tuple[int, Vector]]:
-    """Return where on the way of what moves its terms bend within a part of an average step.
-
-    Returns:
-        The position of a term, and values of what moves between which it changes, ascending.
-    """
-    x = _moved(terms, path)
-    way = float(np.abs(np.diff(x)).sum())
-    if not (np.isfinite(way) and way > 0):
-        return []
-    low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
-    count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
-    edges, knots = np.linspace(low, high, count + 1), _knots(dae, terms, p)
-    return [
-        (term, own)
-        for term in range(len(terms.bounded))
-        for own in bent_parts(
-            terms.value(term, p), terms.off(term, p), edges, knots, is_table=terms.alone[term]
-        )
-    ]
-
-
-def _knots(dae: Dae, terms: Terms, p: Vector) -> Vector:
-    """Return where tables of what moves have their knots."""
-    own = (way_of(dae, term, knots_of(term), p) for term in terms.tables)
-    return np.unique(np.concatenate([np.empty(0), *own]))
-
-
-def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
-    """Return when what moves is between the first and the last of some values.
-
-    Args:
-        t: Times, s, (n,).
-        x: What moves, on lines between them, (n,).
-        edges: Values, ascending.
-
-    Returns:
-        For each time that it is, the times at which it begins, is at one of the values, and ends;
-        for each time that it is at the only value, this.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (edges[:, None] - x[:-1]) / np.diff(x)
-    _, rows = within = np.nonzero((shares >= 0) & (shares <= 1))
-    at = np.unique([t[0], *(t[rows] + shares[within] * np.diff(t)[rows]), t[-1]])
-    if len(edges) == 1:
-        return list(np.unique(t[rows] + shares[within] * np.diff(t)[rows])[:, None])
-    middles = np.interp((at[:-1] + at[1:]) / 2, t, x)
-    inside = (edges[0] < middles) & (middles < edges[-1])
-    return apart(list(zip(at[:-1][inside].tolist(), at[1:][inside].tolist(), strict=True)))
 
 
 def _is_passed(motion: Motion, place: Place, least: Vector) -> bool:

@@ -29,13 +29,8 @@ from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.outputs import Observed, all_columns, observe
-from cosim.integrate.passed_over import (
-    changes_of,
-    finer_than_steps,
-    may_change,
-    rows_between,
-    with_switching,
-)
+from cosim.integrate.passed_over import changes_of, may_change, with_switching
+from cosim.integrate.places import finer_than_steps, rows_between
 from cosim.integrate.preparation import Prepared, prepare
 from cosim.integrate.solvers import SOLVERS, with_largest_step
 from cosim.integrate.validity import (

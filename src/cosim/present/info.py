@@ -13,7 +13,7 @@ from cosim.errors import FmuError
 from cosim.fmi.archive import DESCRIPTION, entry_content, opened
 from cosim.fmi.check.parsed import Described, parse
 from cosim.fmi.run.typed_values import NUMERIC
-from cosim.integrate.passed_over import watched_terms
+from cosim.integrate.places import watched_terms
 from cosim.integrate.validity import inspect_start
 from cosim.model.catalogue import loaded
 from cosim.scene.scene import Scene
