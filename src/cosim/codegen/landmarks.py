@@ -113,29 +113,20 @@ def landmarks(dae: Dae) -> Landmarks:
             passed.append(", ".join(names[i] for term in several.each for i in term.movers))
         every_change += across or []
     rows, times, moving, given = list[SX](), [np.empty(0)], list[str](), set[str]()
-    for changes in _by_direction(dae, every_change):
-        movers = changes[0].term.movers
-        steps = sum(change.is_step for change in changes)
-        needed = [change for change in changes if not change.is_step or steps > 1]
-        name = ", ".join(names[i] for i in movers)
-        if needed:
-            moving.append(name)
-        is_whole = all(change.is_whole for change in needed)
-        if movers == (len(dae.states),) and not ca.depends_on(dae.driving_outputs, dae.t):
-            fixed = [c for c in needed if c.term.given or not ca.depends_on(c.term.variable, dae.p)]
-            needed = [change for change in needed if change not in fixed]
-            for change in fixed:
-                term = change.term
-                times.append(way_of(dae, term, change.places, p))
-                given.update(_depends(dae, ca.vertcat(term.variable, term.value)))
-        if len(movers) == 1 and not any(change.is_wave for change in needed):
-            needed = _without_repeated(dae, needed, p)
-        many = sum(len(change.places) for change in needed) > _MOST
-        if many or not is_whole:
+    for changes in filter(None, map(_unseen, _by_direction(dae, every_change))):
+        name = ", ".join(names[i] for i in changes[0].term.movers)
+        moving.append(name)
+        fixed = [change for change in changes if _has_fixed_times(dae, change)]
+        for change in fixed:
+            times.append(way_of(dae, change.term, change.places, p))
+            given.update(_depends(dae, ca.vertcat(change.term.variable, change.term.value)))
+        left = _without_repeated(dae, [change for change in changes if change not in fixed], p)
+        many = sum(len(change.places) for change in left) > _MOST
+        if many or not all(change.is_whole for change in changes):
             passed.append(name)
         if not many:
-            rows += [c.term.variable - place for c in needed for place in c.places.tolist()]
-            given.update(dae.parameters[i].name for c in needed for i in c.term.given)
+            rows += [c.term.variable - place for c in left for place in c.places.tolist()]
+            given.update(dae.parameters[i].name for c in left for i in c.term.given)
     arguments = column(rows)
     return Landmarks(
         arguments=arguments,
@@ -154,11 +145,10 @@ def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
     """
     found, unknown = list[_Change](), set[int]()
     for term in inner_terms(dae):
-        knots = knots_of(term)
-        of_tables = all(is_table(function) for function, _ in term.tables)
-        if term.tables and of_tables and not len(knots):
+        of_tables = term.tables and all(is_table(function) for function, _ in term.tables)
+        if of_tables and not len(knots_of(term)):
             unknown.update(term.movers)
-        found += _changes(dae, term, knots, p) or _changes_in_waves(dae, term, p)
+        found += _changes(dae, term, p) or _changes_in_waves(dae, term, p)
     return found, unknown
 
 
@@ -172,12 +162,28 @@ def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
     return [[*group.values()] for group in groups.values()]
 
 
+def _unseen(changes: list[_Change]) -> list[_Change]:
+    """Return the changes in one direction that a step over all of them does not see."""
+    steps = sum(change.is_step for change in changes)
+    return [change for change in changes if not change.is_step or steps > 1]
+
+
+def _has_fixed_times(dae: Dae, change: _Change) -> bool:
+    """Return whether a change is at times that follow no parameter during a run."""
+    term = change.term
+    if term.movers != (len(dae.states),) or ca.depends_on(dae.driving_outputs, dae.t):
+        return False
+    return bool(term.given) or not ca.depends_on(term.variable, dae.p)
+
+
 def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:
     """Return changes in one state without places near those of others, such as of its slopes.
 
     A place is left out that is nearer to another one than half of the way to its own neighbor.
     Those that follow parameters remain before those that do not.
     """
+    if any(len(change.term.movers) > 1 or change.is_wave for change in changes):
+        return changes
     every, found = np.empty(0), list[_Change]()
     for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
         with np.errstate(divide="ignore", invalid="ignore"):  # a factor may be 0 at the start
@@ -199,8 +205,9 @@ def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
     return tuple(np.round(found / found[np.argmax(np.abs(found))], 9).tolist())
 
 
-def _changes(dae: Dae, term: InnerTerm, knots: Vector, p: Vector) -> list[_Change]:
-    near = np.array([-_FARTHEST, _FARTHEST])
+def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+    """Return where a term changes on the way of its variable, and rests before and after."""
+    near, knots = np.array([-_FARTHEST, _FARTHEST]), knots_of(term)
     values, found = _bent(dae, term, knots, p, near)
     far = np.concatenate((-_BEYOND[::-1], near, _BEYOND))
     ends = values(far)
@@ -297,39 +304,43 @@ def localized_inverses(dae: Dae) -> SX:
     return ca.vertcat(SX(0, 1), *(s.value for s in every if _changes_of_several(dae, s, p)))
 
 
-def _calls_table(term: SX) -> bool:
-    """Return whether a term calls a table."""
-    calls = (value for _, value, _ in in_postorder([term]) if value.op() == ca.OP_CALL)
-    return any(is_table(call.which_function()) for call in calls)
+def _hides_places(several: SeveralInner) -> bool:
+    """Return whether a term calls a table whose knots are unknown."""
+    nodes = in_postorder([several.value])
+    calls = (value.which_function() for _, value, _ in nodes if value.op() == ca.OP_CALL)
+    return any(map(is_table, calls)) and not any(len(knots_of(term)) for term in several.alone)
 
 
 def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
-    """Return where a term of several quantities may move; None if unknown.
-
-    If it is a function of one quantity of them, these are places of that; see `_around_peak`, too.
-    It also rests beyond parts of the way of each quantity, wherever the others are: whoever gets to
-    where it moves passes the end of one of them. A slope, which ends at another value than it
-    begins, has none.
-    """
-    tables = [(term, knots) for term in several.alone if len(knots := knots_of(term))]
-    if tables:
-        return [change for own in tables for change in _changes(dae, *own, p)]
-    each = (_changes(dae, term, np.empty(0), p) for term in several.alone)
+    """Return where a term of several quantities may move; None if unknown."""
+    each = (_changes(dae, term, p) for term in several.alone)
     found = next(filter(None, each), list[_Change]())
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     if found and not any(ca.which_depends(found[0].term.variable, moving, 2, False)):
         return found
     if not found and (peak := _around_peak(dae, several, p)):
         return peak
+    beyond = _between_rests(dae, several, p)
+    return found + (beyond or []) if found else beyond
+
+
+def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
+    """Return where a term may move that rests if one quantity is far away; None if unknown.
+
+    It rests beyond parts of the way of each quantity, wherever the others are: whoever gets to
+    where it moves passes the end of one of them. A slope, which ends at another value than it
+    begins, has none.
+    """
     terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     ends = SX.sym("low", len(terms)), SX.sym("high", len(terms))
     within = bounds_within(terms[0].value, symbols, ends)
     if within is None:
-        return None if _calls_table(several.value) else found
+        return None if _hides_places(several) else []
     bounds = ca.Function("bounds", [*ends, dae.p], list(within), {"cse": True})
 
-    def widths(rows: Integers, begins: Vector, to: Vector) -> Vector:
+    def ranges(rows: Integers, begins: Vector, to: Vector) -> Vector:
+        """Return those of the term while one quantity each, by its row, goes from begin on."""
         least, columns = np.full((len(terms), len(to)), -_ANYWHERE), np.arange(len(to))
         most = -least
         least[rows, columns], most[rows, columns] = np.minimum(begins, to), np.maximum(begins, to)
@@ -338,25 +349,31 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
 
     begins = np.tile([-_FARTHEST, _FARTHEST], len(terms))
     rows = np.arange(len(begins)) // 2
-    size = float(widths(rows[:1], begins[:1], -begins[:1])[0])
+    size = float(ranges(rows[:1], begins[:1], -begins[:1])[0])
     if not np.isfinite(size):
-        return found
+        return []
 
     def rests(to: Vector) -> Truths:
-        own = widths(np.tile(rows, len(to)), np.tile(begins, len(to)), to.ravel())
+        own = ranges(np.tile(rows, len(to)), np.tile(begins, len(to)), to.ravel())
         return np.asarray(own.reshape(to.shape) <= FLAT * size)
 
     last = _last_flat(rests, begins)
-    for term, first, final in zip(terms, last[::2], last[1::2], strict=True):
-        if -_FARTHEST < first < final < _FARTHEST:
-            found.append(_Change(term, np.linspace(first, final, _ACROSS), is_step=False))
-    if found:
-        return found
+    found = [
+        _Change(term, np.linspace(first, final, _ACROSS), is_step=False)
+        for term, first, final in zip(terms, last[::2], last[1::2], strict=True)
+        if -_FARTHEST < first < final < _FARTHEST
+    ]
+    return found if found or _is_slope(dae, several, size, p) else None
+
+
+def _is_slope(dae: Dae, several: SeveralInner, size: float, p: Vector) -> bool:
+    """Return whether a term of a size differs between both far ends of some quantity."""
+    terms = several.each
+    symbols = ca.vertcat(*(term.symbol for term in terms))
     value = ca.Function("value", [symbols, dae.p], [terms[0].value])
     corners = _FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
-    seen = np.array(value(corners, p)).ravel()
-    is_slope = np.abs(np.diff(seen.reshape(2, -1), axis=0)) >= _SEEN * size
-    return [] if is_slope.any() else None
+    seen = np.array(value(corners, p)).reshape(2, -1)
+    return bool((np.abs(np.diff(seen, axis=0)) >= _SEEN * size).any())
 
 
 def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
