@@ -8,6 +8,7 @@ matter of the kernel (`integrate.kernel`), and the solver starts afresh.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -139,6 +140,13 @@ def records_of(system: Hybrid, passed: Sequence[Passed], first: int = 0) -> list
     return found
 
 
+class _Target(NamedTuple):
+    """The end of a piece, s, and whether inputs jump or come to rest there."""
+
+    time: float
+    has_other_inputs: bool
+
+
 class _Course:
     """A run of a hybrid model on its way over the grid."""
 
@@ -266,14 +274,8 @@ class _Course:
         Returns:
             Why the solver stopped early; empty if it did not.
         """
-        at, grid = self.at, self.grid
-        due = np.inf if self.passes_time else self._next_due()
         series = self._followed()
-        ends = series.breaks if series else np.empty(0), self.pulses
-        later = (times[times.searchsorted(at.t, "right") :] for times in ends)
-        jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
-        last = min(self.next + min(self.window, _MOST_LOOKS // self.looks), len(grid) - 1)
-        piece, rest = self._piece_to(min(due, jump, float(grid[last]), pulse), series)
+        piece, target = self._piece_to(self._target(series), series)
         self._pass(piece)
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
@@ -284,41 +286,57 @@ class _Course:
             passed = self.stays.get(self.at.modes.tobytes(), passed)
             self.window = max(self.least_window, int(_SOON * passed))
             return Ending()
-        if piece.reason:
-            self._accept(piece, np.inf)
-            final = piece.reason == INTERRUPTED or piece.reason.kind is EndKind.STIFF
-            if final or len(piece.times) < 2:
-                return piece.reason
-            self.at, self.window = piece.at_end(), self.least_window
-            return Ending()  # a fresh start may succeed
+        if not piece.reason:
+            self._arrive(piece, target)
+            return Ending()
+        self._accept(piece, np.inf)
+        final = piece.reason == INTERRUPTED or piece.reason.kind is EndKind.STIFF
+        if final or len(piece.times) < 2:
+            return piece.reason
+        self.at, self.window = piece.at_end(), self.least_window
+        return Ending()  # a fresh start may succeed
+
+    def _arrive(self, piece: Piece, target: _Target) -> None:
+        """Go on from the end of a piece without an event in it; let happen what is due there."""
         arrived = piece.at_end()
         self._accept(piece, arrived.t)
         piece.let_go()
         self.window *= 2
-        if arrived.t in (self._next_due(), jump, rest):
-            following = self._with_inputs(arrived) if arrived.t in (jump, rest) else arrived
-            self._switch(following)
+        if target.has_other_inputs:
+            self._switch(self._with_inputs(arrived))
+        elif arrived.t == self._next_due():
+            self._switch(arrived)
         elif last_event := located_at_end(piece):
             self._switch(last_event.at, last_event.first)
         else:
             self.at = self._with_inputs(arrived)
             self._write(arrived.t)
-        return Ending()
 
-    def _piece_to(self, end: float, series: InputSeries | None) -> tuple[Piece, float]:
-        """Integrate to a time, s, or to where inputs rest at a threshold; return that time, too."""
+    def _target(self, series: InputSeries | None) -> _Target:
+        """Return the end of the next piece: what comes first, or the end of the window."""
+        due = np.inf if self.passes_time else self._next_due()
+        ends = series.breaks if series else np.empty(0), self.pulses
+        later = (times[times.searchsorted(self.at.t, "right") :] for times in ends)
+        jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
+        window = min(self.window, _MOST_LOOKS // self.looks)
+        row = min(self.next + window, len(self.grid) - 1)
+        time = min(due, jump, pulse, float(self.grid[row]))
+        return _Target(time, time == jump)
+
+    def _piece_to(self, target: _Target, series: InputSeries | None) -> tuple[Piece, _Target]:
+        """Integrate to a target, or to where inputs rest at a threshold before; return both."""
         at, grid = self.at, self.grid
-        rest = self._next_rest(at, series, end)
-        end = min(end, rest)
+        rest = self._next_rest(at, series, target.time)
         left = None if self.kernel is None else self.kernel.switching.numbers.copy()
         while True:
-            rows = grid[self.next :][grid[self.next :] < end]
-            piece = self._piece(np.array([at.t, *rows[rows > at.t], end]))
-            earlier = self._rest_after(piece.passed, series, end)
-            if self.kernel is None or piece.reason == INTERRUPTED or earlier >= end:
-                return piece, rest
+            if rest <= target.time:
+                target = _Target(rest, has_other_inputs=True)
+            rows = grid[self.next :][grid[self.next :] < target.time]
+            piece = self._piece(np.array([at.t, *rows[rows > at.t], target.time]))
+            rest = self._rest_after(piece.passed, series, target.time)
+            if self.kernel is None or piece.reason == INTERRUPTED or rest >= target.time:
+                return piece, target
             self.kernel.switching.numbers[:] = left  # an event has moved a threshold there
-            end = rest = earlier
 
     def _next_due(self) -> float:
         """Return the next time event, s; where an input jumps or a row is, but for rounding."""
