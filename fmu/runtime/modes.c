@@ -23,41 +23,46 @@ Laws laws_of(Instance *self) {
     return laws;
 }
 
+/* Why the kernel cannot go on, and the remedy; the native simulation has its texts from here. */
+#define TEXTS_OF_ENDINGS(X)                                                                        \
+    X(NO_VALUE, "the equations have no value at the event at %.12g s", t)                          \
+    X(NO_MODES, "no consistent modes at %.12g s (%s); use a smooth law such as tanh there", t,     \
+      relation)                                                                                    \
+    X(TOO_MANY_ROUNDS,                                                                             \
+      "'%s' happens again and again at %.12g s, more than 100 times; let its assignments make "    \
+      "its condition false",                                                                       \
+      rule, t)                                                                                     \
+    X(TOO_CLOSE,                                                                                   \
+      "'%s' happens ever faster before %.12g s (Zeno); end the run before with a stop condition, " \
+      "or let the motion rest there",                                                              \
+      rule, t)                                                                                     \
+    X(CONTRADICTS,                                                                                 \
+      "'%s' and '%s' give %s different values at %.12g s; make one event of them, or conditions "  \
+      "that exclude each other",                                                                   \
+      other, rule, state, t)                                                                       \
+    X(NOT_FINITE_ASSIGNED, "'%s' gives %s no finite value at %.12g s; assign a finite one", rule,  \
+      state, t)                                                                                    \
+    X(VIOLATES,                                                                                    \
+      "'%s' at %.12g s leaves states that violate: %s (by %.2g); assign consistent values", rule,  \
+      t, violated, size)                                                                           \
+    X(STAYS_TRUE,                                                                                  \
+      "the condition of '%s' stays true after %.12g s, so that it cannot happen again; let the "   \
+      "motion rest there by a mode or a contact",                                                  \
+      rule, t)
+
 /* Refuse what the kernel cannot go on from. */
 Status refuse_ending(Instance *self, Status severity, const Ending *why, const char *switched) {
-    const double t = self->state.values[TIME];
-    const bool by_rule = why->part >= 0 && why->reason != NO_MODES;
-    const char *rule = by_rule ? rule_names[why->part] : switched;
+    const double t = self->state.values[TIME], size = why->size;
+    const bool of_modes = why->reason == NO_MODES;
+    const char *relation = of_modes ? relation_names[why->part] : "";
+    const char *rule = why->part >= 0 && !of_modes ? rule_names[why->part] : switched;
+    const char *other = why->reason == CONTRADICTS ? rule_names[why->other] : "";
     const char *state = why->state >= 0 ? variables[FIRST_STATE + why->state].name : "";
+    const char *violated = "a constraint";
+#define CASE(reason, ...)                                                                          \
+    case reason: return refuse(self, severity, __VA_ARGS__);
     switch (why->reason) {
-    case NO_VALUE: return refuse(self, severity, "the event at %.12g s has no result", t);
-    case NO_MODES:
-        return refuse(self, severity,
-                      "no consistent modes at %.12g s (%s); use a smooth law such as tanh there", t,
-                      relation_names[why->part]);
-    case TOO_MANY_ROUNDS:
-        return refuse(self, severity, "'%s' happens again and again at %.12g s, more than %d times",
-                      rule, t, MOST_ROUNDS);
-    case TOO_CLOSE:
-        return refuse(self, severity,
-                      "'%s' happens ever faster before %.12g s (Zeno); end the run before with a "
-                      "stop condition, or let the motion rest there",
-                      rule, t);
-    case CONTRADICTS:
-        return refuse(self, severity, "'%s' and '%s' give %s different values at %.12g s",
-                      rule_names[why->other], rule, state, t);
-    case NOT_FINITE_ASSIGNED:
-        return refuse(self, severity, "'%s' gives %s no finite value at %.12g s", rule, state, t);
-    case VIOLATES:
-        return refuse(self, severity,
-                      "'%s' at %.12g s leaves states that violate a constraint by %.2g; assign "
-                      "consistent values",
-                      rule, t, why->size);
-    case STAYS_TRUE:
-        return refuse(self, severity,
-                      "the condition of '%s' stays true after %.12g s, so the event cannot happen "
-                      "again; let the motion rest there by a mode or a contact",
-                      rule, t);
+        TEXTS_OF_ENDINGS(CASE)
     default: return OK;
     }
 }

@@ -10,7 +10,7 @@ from cosim.codegen.c_sources import master_source, source_text
 from cosim.codegen.compiler import cached_library
 from cosim.coupling.c_structures import PartOfC, SystemOfC
 from cosim.fmi.run.c_structures import Ending, Functions, Recording, Run
-from cosim.integrate.kernel import Reason, State
+from cosim.integrate.kernel import Reason, State, _texts
 
 
 def test_fields_are_those_of_the_header_in_their_order():
@@ -54,3 +54,10 @@ def test_numbers_that_python_names_are_those_of_the_header(header, mirror):
     (names,) = (found for found in enumerations if mirror(0).name in found)
     assert [member.name for member in mirror] == names
     assert [*mirror] == [*range(len(names))]
+
+
+def test_every_ending_that_is_an_error_has_a_text_in_c():
+    texts = _texts()
+    assert {*Reason} - {*texts} == {Reason.GOES_ON, Reason.STOPPED}
+    for text, facts in texts.values():
+        assert text.count("%") == len(facts) > 0

@@ -1,9 +1,11 @@
 """`Kernel`: the kernel of events in C (fmu/solvers/hybrid), called at the instants of a run."""
 
 import ctypes
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.c_fields import fields
+from cosim.codegen.c_sources import source_text
 from cosim.codegen.kernel_library import kernel_library
 from cosim.errors import SolverError
 from cosim.integrate.engine import Left
@@ -411,38 +414,15 @@ def settled(system: Hybrid, at: Instant, p: Vector) -> tuple[Instant, dict[int, 
     return at, {i: float(edges[i]) for i in plain.of_states if small[i]}
 
 
-# What to tell of an ending, and the remedy; see `reject`
-_REASONS: dict[Reason, tuple[str, ...]] = {
-    Reason.NO_VALUE: ("the equations have no value at the event at {t}",),
-    Reason.NO_MODES: (
-        "no consistent modes at {t} ({relation})",
-        "use a smooth law such as tanh there",
-    ),
-    Reason.TOO_MANY_ROUNDS: (
-        "{event} happens again and again at {t}, more than 100 times",
-        "let its assignments make its condition false",
-    ),
-    Reason.TOO_CLOSE: (
-        "{event} happens ever faster before {t} (Zeno)",
-        "end the run before with a stop condition, or let the motion rest there",
-    ),
-    Reason.CONTRADICTS: (
-        "{other} and {event} give {state} different values at {t}",
-        "make one event of them, or conditions that exclude each other",
-    ),
-    Reason.NOT_FINITE_ASSIGNED: (
-        "{event} gives {state} no finite value at {t}",
-        "assign a finite one",
-    ),
-    Reason.VIOLATES: (
-        "{event} at {t} leaves states that violate: {violated} (by {size})",
-        "assign consistent values",
-    ),
-    Reason.STAYS_TRUE: (
-        "the condition of {event} stays true after {t}, so that it cannot happen again",
-        "let the motion rest there by a mode or a contact",
-    ),
-}
+@cache
+def _texts() -> dict[Reason, tuple[str, list[str]]]:
+    """Return what to tell of an ending, and the facts in it; see TEXTS_OF_ENDINGS in C."""
+    source = source_text("runtime/modes.c").replace("\\\n", "")
+    found = re.findall(r'X\((\w+), *((?:"[^"]*" *)+), *([\w, ]+)\)', source)
+    return {
+        Reason[name]: ("".join(re.findall('"([^"]*)"', parts)), re.findall(r"\w+", facts))
+        for name, parts, facts in found
+    }
 
 
 def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
@@ -458,18 +438,20 @@ def reject(system: Hybrid, t: float, ending: Outcome, switched: str) -> None:
         SolverError: Unless the run goes on, or an event has ended it.
     """
     reason, part, other, state, size = ending
-    if reason not in _REASONS:
+    if reason not in _texts():
         return
-    facts = {"t": f"{t:.12g} s", "event": f"'{switched}'", "size": f"{size:.2g}"}
+    facts = {"t": t, "rule": switched, "size": size}
     if reason is Reason.NO_MODES:
         facts["relation"] = system.described(part)
     elif part >= 0:
-        facts["event"] = f"'{system.events[part].name}'"
+        facts["rule"] = system.events[part].name
     if reason is Reason.CONTRADICTS:
-        facts["other"] = f"'{system.events[other].name}'"
+        facts["other"] = system.events[other].name
     elif reason is Reason.VIOLATES:
         facts["violated"] = system.dae.invariants[other].meaning
     if state >= 0:
         facts["state"] = system.dae.states[state].name
-    why = (text.format_map(facts) for text in _REASONS[reason])
-    raise SolverError.of(system.dae.full_name, *why, kind=EndKind.EVENT)
+    text, names = _texts()[reason]
+    why, _, remedy = text.partition("; ")
+    why %= tuple(facts[name] for name in names)
+    raise SolverError.of(system.dae.full_name, why, remedy, kind=EndKind.EVENT)
