@@ -20,6 +20,11 @@ static bool is_sign(int relation) {
     return !relation_table[relation].of_time && !relation_table[relation].floor;
 }
 
+/* Replace inputs by those at a share of the way from others to them. */
+static void go_on_way(const double from[], double share, double u[]) {
+    for (int i = 0; i < MOVING; i++) u[i] = from[i] + share * (u[i] - from[i]);
+}
+
 /* Derivatives, outputs and then modes with inputs at a share of the way to the present ones. False
    where they have no values. */
 static bool results_on_way(Instance *self, const double from[], double share, double found[]) {
@@ -29,7 +34,7 @@ static bool results_on_way(Instance *self, const double from[], double share, do
     const Point at = present(self);
     double before[ROOM(MODES)];
     self->categories = 0;
-    for (int i = 0; i < MOVING; i++) at.u[i] = from[i] + share * (at.u[i] - from[i]);
+    go_on_way(from, share, at.u);
     self->state.stale = (self->state.stale | AFTER_START) & ~(uint32_t)SIDES;
     for (int n = 0; n < MODES; n++) { /* arguments may hold other modes */
         memcpy(before, modes_of(&at), MODES * sizeof *before);
@@ -86,7 +91,7 @@ static bool see_on_way(Instance *self, const double from[], double share, Seen *
     double z[ROOM(NZ)], u[ROOM(NU)];
     memcpy(z, now.z, NZ * sizeof *z);
     memcpy(u, now.u, NU * sizeof *u);
-    for (int i = 0; i < MOVING; i++) u[i] = from[i] + share * (u[i] - from[i]);
+    go_on_way(from, share, u);
     return law_see(&self->laws, &(Point){now.t, now.x, z, u}, seen);
 }
 

@@ -103,66 +103,97 @@ static void compare(Differences *self, double h, double rates[TIMES][N_VARIABLES
     }
 }
 
-static Status higher_rates(Instance *self, const Reference references[], size_t count,
-                           const Order orders[], double values[]) {
+/* What is asked for. */
+typedef struct {
+    const Reference *references;
+    const Order *orders;
+    size_t count;
+} Wanted;
+
+/* Whether distances that are smaller, or begin farther away, may give better derivatives. */
+typedef struct {
+    bool smaller, farther;
+} Prospects;
+
+static Prospects prospects(const Differences *found, const Wanted *wanted, double h) {
+    Prospects ahead = {false, false};
+    for (size_t i = 0; i < wanted->count; i++) {
+        const Reference k = wanted->references[i];
+        const int order = wanted->orders[i];
+        const double error = found->errors[order][k], size = found->sizes[k];
+        const double value = fabs(found->best[order][k]);
+        if (order < 2) continue;
+        ahead.smaller |= error > rounding_of(order, h / FINER, size);
+        ahead.farther |= error > INEXACT * fmax(value, size / pow(LARGEST_STEP, order - 1));
+    }
+    return ahead;
+}
+
+/* Rates at points around a state, which the instance then has again. */
+static Status rates_around(Instance *self, const State *from, double h,
+                           double rates[TIMES][N_VARIABLES]) {
+    Status status = OK;
+    for (int k = 0; k < TIMES && status == OK; k++) {
+        if (k != HERE) status = move_by(self, from, (k - HERE) * h);
+        if (status == OK) status = all_rates(self, rates[k]);
+        self->state = *from;
+    }
+    return status;
+}
+
+/* Take differences over a distance and ever smaller ones, until rounding counts. */
+static Status one_sweep(Instance *self, const State *from, const Wanted *wanted, double begin,
+                        double shortest, Differences *found, Prospects *ahead) {
     double rates[TIMES][N_VARIABLES];
+    double h = begin;
+    do {
+        const Status status = rates_around(self, from, h, rates);
+        if (status != OK) return status;
+        compare(found, h, rates, h == begin);
+        *ahead = prospects(found, wanted, h);
+        h /= FINER;
+    } while (ahead->smaller && h >= shortest);
+    return OK;
+}
+
+static Status higher_rates(Instance *self, const Wanted *wanted, double values[]) {
     Differences found = {.sizes = {0}};
+    Prospects ahead = {.farther = true};
     const State from = self->state;
     const double shortest = 2 * DBL_EPSILON * fabs(from.values[TIME]);
     int exponent; /* of a power of two, over which times and halves between them are not rounded */
     frexp(fmax(PART * typical_step(self), shortest), &exponent);
-    const double nearest = ldexp(1, exponent);
-    double begin = nearest, h = begin;
+    const double nearest = ldexp(1, exponent), farthest = fmax(nearest, PART * LARGEST_STEP);
     for (uint32_t k = 0; k < N_VARIABLES; k++) found.errors[2][k] = found.errors[3][k] = INFINITY;
-    for (bool finer, poor = true; poor && begin <= fmax(nearest, PART * LARGEST_STEP);) {
-        Status status = OK;
-        for (int k = 0; k < TIMES && status == OK; k++) {
-            if (k != HERE) status = move_by(self, &from, (k - HERE) * h);
-            if (status == OK) status = all_rates(self, rates[k]);
-            self->state = from;
-        }
+    for (double begin = nearest; ahead.farther && begin <= farthest; begin *= FARTHER) {
+        const Status status = one_sweep(self, &from, wanted, begin, shortest, &found, &ahead);
         if (status != OK && begin == nearest) return status;
         if (status != OK) break;
-        compare(&found, h, rates, h == begin);
-        finer = poor = false; /* unless rounding allows more */
-        for (size_t i = 0; i < count; i++) {
-            const double *errors = found.errors[orders[i]], size = found.sizes[references[i]];
-            const double value = fabs(found.best[orders[i]][references[i]]);
-            const double least = fmax(value, size / pow(LARGEST_STEP, orders[i] - 1));
-            if (orders[i] < 2) continue;
-            finer |= errors[references[i]] > rounding_of(orders[i], h / FINER, size);
-            poor |= errors[references[i]] > INEXACT * least;
-        }
-        finer &= h / FINER >= shortest;
-        if (!finer) begin *= FARTHER;
-        h = finer ? h / FINER : begin;
-        poor |= finer;
     }
-    for (size_t i = 0; i < count; i++)
-        if (orders[i] > 1) values[i] = found.best[orders[i]][references[i]];
-    if (!all_finite(values, (int)count)) return refuse(self, DISCARD, "a derivative is not finite");
-    return OK;
+    for (size_t i = 0; i < wanted->count; i++)
+        if (wanted->orders[i] > 1) values[i] = found.best[wanted->orders[i]][wanted->references[i]];
+    if (all_finite(values, (int)wanted->count)) return OK;
+    return refuse(self, DISCARD, "a derivative is not finite");
 }
 
-static Status rates_at(Instance *self, const Reference references[], size_t count,
-                       const Order orders[], int highest, double values[]) {
-    const Status status = time_derivatives(self, references, count, values);
-    if (status != OK || highest < 2) return status;
-    return higher_rates(self, references, count, orders, values);
+static Status rates_at(Instance *self, const Wanted *wanted, int highest, double values[]) {
+    const Status status = time_derivatives(self, wanted->references, wanted->count, values);
+    return status != OK || highest < 2 ? status : higher_rates(self, wanted, values);
 }
 
 static Status get_rates(Instance *self, const Reference references[], size_t count,
                         const Order orders[], double values[]) {
+    const Wanted wanted = {references, orders, count};
     int highest = 0;
     if (count == 0) return OK;
     if (check_orders(self, count, orders, &highest) != OK) return ERROR;
-    if (!self->host.ask_inputs) return rates_at(self, references, count, orders, highest, values);
+    if (!self->host.ask_inputs) return rates_at(self, &wanted, highest, values);
     /* who is asked for inputs declares none of their rates: those of the last step, which what
        waits or slides still needs, are not those that come */
     double motion[MOST_INPUT_ORDER][ROOM(NU)];
     memcpy(motion, self->state.motion, sizeof motion);
     forget_motion(self);
-    const Status status = rates_at(self, references, count, orders, highest, values);
+    const Status status = rates_at(self, &wanted, highest, values);
     memcpy(self->state.motion, motion, sizeof motion);
     self->state.stale |= is_sliding_now(self) ? AFTER_START : 0; /* its modes follow from both */
     return status;
