@@ -149,7 +149,9 @@ class CoSimulation:
     def sticking_part(self) -> str | None:
         """Return a part with a relation that has stayed 0 by parts that feel it; None without."""
         wires, parts = self.wiring.connections, self.parts.items()
-        slides = ((name, inputs) for name, p in parts for inputs in p.instance.sliding.values())
+        slides = (
+            (name, inputs) for name, p in parts for inputs in p.instance.logged.sliding.values()
+        )
         return next((n for n, inputs in slides if len(sides_of(wires, n, inputs)) > 1), None)
 
     def opened(
@@ -253,7 +255,7 @@ class CoSimulation:
 
     def _least(self, *, ordered: bool) -> float:
         """Return how much of the error a smaller tolerance leaves at least, after a run."""
-        switched = [p for p in self.parts.values() if p.instance.logged_events]
+        switched = [p for p in self.parts.values() if p.instance.logged.events]
         if any(p.holds_inputs for p in self.parts.values() if p.event_mode or p in switched):
             return estimate.BY_CHANCE
         return 0.0 if ordered and not switched else estimate.UNKNOWN
@@ -356,7 +358,7 @@ class CoSimulation:
                 stats["interface_error"] = float(max(system.interface_error, system.coarse))
         if system.how == Ending.ENDED_BY_FMU:
             name = list(self.parts)[system.part]
-            why = why_it_ended(self.parts[name].instance.log_texts)
+            why = why_it_ended(self.parts[name].instance.logged.texts)
             stats |= {"stop": f"{why} (part '{name}') from {opened.end:.12g} s on"}
             stats |= {"stop_time": opened.end}
         stats |= invalidity(failures.violations(self.wiring))
@@ -402,7 +404,7 @@ class CoSimulation:
             (time, f"{name}: {event}")
             for name, part in self.parts.items()
             if part.event_mode and not part.holds_inputs
-            for time, event in part.instance.logged_events
+            for time, event in part.instance.logged.events
         ]
         return tuple(Event(time, name, {}, {}) for time, name in sorted(logged))
 

@@ -120,7 +120,7 @@ def notes_of(system: Any, wiring: Wiring) -> list[str]:
             f"{noted} jumps as {system.jumps} {every} begin: its course there is left out; give a "
             "shorter macro_step, or accuracy"
         )
-    inside = [n for n, p in wiring.parts.items() if not p.event_mode and p.instance.logged_events]
+    inside = [n for n, p in wiring.parts.items() if not p.event_mode and p.instance.logged.events]
     if inside and system.macro_step:
         notes.append(
             f"events of {', '.join(inside)} happen within macro steps, so outputs that jump are of "
@@ -147,7 +147,7 @@ def leaps(wiring: Wiring, parts: Collection[str]) -> Iterator[str]:
     """Yield notes on continuous inputs of parts whose values jump over a short change of these."""
     moving = {own for own, held in zip(wiring.inputs, wiring.held, strict=False) if not held}
     for name in parts:
-        for inputs, (time, place) in wiring.parts[name].instance.leaps.items():
+        for inputs, (time, place) in wiring.parts[name].instance.logged.leaps.items():
             if any((name, one) in moving for one in inputs.split(", ")):
                 yield (
                     f"part '{name}': at {time} s, {inputs} jumps over a short change of the "
@@ -159,7 +159,7 @@ def leaps(wiring: Wiring, parts: Collection[str]) -> Iterator[str]:
 def violations(wiring: Wiring) -> Iterator[Violation]:
     """Yield the violated validity conditions of parts, of those steps that were not repeated."""
     for name, part in wiring.parts.items():
-        for one in part.instance.violations.counted:
+        for one in part.instance.logged.violations.counted:
             yield Violation(one.time, f"{name}: {one.what}")
 
 
@@ -185,7 +185,7 @@ def endless_part(system: Any, wiring: Wiring, why: str) -> str | None:
                 return name
     for name, opened in wiring.parts.items():
         found = dict[str, list[float]]()
-        for time, event in opened.instance.logged_events if opened.event_mode else ():
+        for time, event in opened.instance.logged.events if opened.event_mode else ():
             found.setdefault(event, []).append(time)
         for times in found.values():
             thrice = zip(times, times[2:], strict=False)
@@ -201,7 +201,7 @@ def repeats(wiring: Wiring, parts: Collection[str], macro_step: float) -> Counte
     found = Counter[tuple[str, str]]()
     for name in parts:
         last = dict[str, float]()
-        for time, event in wiring.parts[name].instance.logged_events:
+        for time, event in wiring.parts[name].instance.logged.events:
             if not event.startswith(_LEVELS):
                 found[name, event] += time - last.get(event, -np.inf) <= _SOON * macro_step
                 last[event] = time

@@ -227,6 +227,6 @@ class OpenSystem:
             place.order, place.rates = int(part.order), part.rates
             place.rolls_back, place.directional = part.rolls_back, part.directional
             place.event_mode, place.reached = part.event_mode, -np.inf
-            part.instance.violations.counter = place
+            part.instance.logged.violations.counter = place
             place.own_step = own_step.get(name, 0.0)
         return parts, alive

@@ -20,7 +20,7 @@ ClockFacts = tuple[float, float, float, int]
 def notes_of(instances: Sequence[Any]) -> bytes:
     """Return the violations, and the events that no step has returned yet; empty if none."""
     found = [
-        (list(one.logged_events), [(v.time, v.what) for v in one.violations.counted])
+        (list(one.logged.events), [(v.time, v.what) for v in one.logged.violations.counted])
         for one in instances
     ]
     return json.dumps(found).encode() if any(map(any, found)) else b""
@@ -30,8 +30,8 @@ def take_notes(instances: Sequence[Any], notes: bytes) -> None:
     """Set what `notes_of` returned for instances of the same files."""
     found = json.loads(notes) if notes else [((), ())] * len(instances)
     for instance, (events, violations) in zip(instances, found, strict=True):
-        instance.logged_events[:] = map(tuple, events)
-        instance.violations[:] = [Violation(*one) for one in violations]
+        instance.logged.events[:] = map(tuple, events)
+        instance.logged.violations[:] = [Violation(*one) for one in violations]
 
 
 def packed(owner: bytes, clock: ClockFacts, notes: bytes, state: bytes, *, has_sum: bool) -> bytes:

@@ -99,7 +99,7 @@ class Session(Life):
             self._renew()
         try:
             self._events.clear()
-            self._instance.violations.clear()
+            self._instance.logged.violations.clear()
             if restart is not None:
                 self._check(*restart.run(given, experiment))
             else:
@@ -122,7 +122,7 @@ class Session(Life):
         self._stack.close()
         vars(self).pop("_states", None)
         self._instance, self._explained = self._file.instance(self._stack)
-        self._events: list[tuple[float, str]] = self._instance.logged_events
+        self._events: list[tuple[float, str]] = self._instance.logged.events
         self._calls = PreparedCalls(self._instance, self._description)
         # one that was exported here rejects a step to such a state
         is_own = self._file.is_own
@@ -159,7 +159,7 @@ class Session(Life):
 
         Models and FMUs that were exported here tell it, other FMUs do not.
         """
-        return min(self._instance.violations, key=attrgetter("time"), default=None)
+        return min(self._instance.logged.violations, key=attrgetter("time"), default=None)
 
     def advance(self, step: float | None = None, *, to: float | None = None) -> tuple[Event, ...]:
         """Integrate with constant inputs.
@@ -185,7 +185,7 @@ class Session(Life):
             self._require()
         clock = self._clock
         time = clock.now
-        log = self._instance.log_texts
+        log = self._instance.logged.texts
         if log:
             log.clear()
         target = clock.target(self.name, step, to)
@@ -294,7 +294,7 @@ class Session(Life):
             self._require()
         content = self._states.save()
         notes = b""
-        if self._events or self._instance.violations:
+        if self._events or self._instance.logged.violations:
             notes = notes_of([self._instance])
         facts = self._clock.facts
         return packed(self._owner, facts, notes, content, has_sum=self._file.is_own)
@@ -308,10 +308,10 @@ class Session(Life):
         """
         clock, notes, size = self.checked_state(saved)
         if not self._states.restore(saved, size):
-            self._instance.log_texts.clear()
+            self._instance.logged.texts.clear()
             raise damaged(self.name)
         self._clock.facts = clock
-        if notes or self._events or self._instance.violations:
+        if notes or self._events or self._instance.logged.violations:
             take_notes([self._instance], notes)
         self._phase = Phase.RUNNING
 
@@ -408,7 +408,7 @@ class Session(Life):
         prefix = f"fmi{2 if self._calls.second else 3}"
         signed = ctypes.c_int(status).value
         error = self._explained(FMICallException(function=f"{prefix}{function}", status=signed))
-        self._instance.log_texts.clear()
+        self._instance.logged.texts.clear()
         return error
 
     def _check(self, status: int, function: str) -> None:

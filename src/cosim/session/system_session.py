@@ -163,7 +163,7 @@ class SystemSession(Life):
             return ()
         self._reject_goal(goal)
         for part in self._instances.parts.values():
-            part.instance.log_texts.clear()
+            part.instance.logged.texts.clear()
         with interruptible(coupling_library()) as interrupts:
             self._run.advance(goal)
         self._answer(interrupts)
@@ -176,7 +176,7 @@ class SystemSession(Life):
             self._clock.reach(goal, step)
         found = self._instances.events()
         for part in self._instances.parts.values():
-            part.instance.logged_events.clear()
+            part.instance.logged.events.clear()
         return found
 
     def _reject_goal(self, goal: float) -> None:
@@ -206,7 +206,7 @@ class SystemSession(Life):
         if answer.how == Ending.ENDED_BY_FMU:
             name = list(parts)[answer.part]
             self._phase = Phase.ENDED
-            self._reason = f"{why_it_ended(parts[name].instance.log_texts)} (part '{name}')"
+            self._reason = f"{why_it_ended(parts[name].instance.logged.texts)} (part '{name}')"
             return
         self._phase = Phase.FAILED
         raise FmuError(f"{self.name}: {failure(answer, self._instances.wiring)}")

@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import count
 from math import inf
@@ -139,36 +140,20 @@ def instantiated(
     Raises:
         FmuError: The library cannot be loaded, or rejects the instantiation.
     """
-    log, events, violations = list[str](), list[tuple[float, str]](), Violations()
-    sliding, leaps = dict[str, list[str]](), dict[str, tuple[str, str]]()
-
-    def collect(*arguments: Any) -> None:
-        """Keep the message, the last argument in every version of the FMI, unless all is well."""
-        *_, status, _category, text = arguments
-        words = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
-        if status != _OK:
-            log.append(words)
-            if left := _LEFT.search(words):
-                violations.note(Violation(float(left[1]), left[2]))
-            elif leap := _LEAPS.search(words):
-                leaps.setdefault(leap[2], (leap[1], leap[3]))
-        elif event := _EVENT.search(words):
-            events.append((float(event[1]), event[2]))
-        elif slides := _SLIDES.search(words):
-            sliding[slides[1]] = slides[2].split(", ")
+    logged = Logged()
 
     def explained(error: Exception) -> FmuError:
         reason = _OF_CVODE.sub("CVODE: ", str(error)).removesuffix(".") or type(error).__name__
-        last = log[-_MESSAGES:]
+        last = logged.texts[-_MESSAGES:]
         advice = [_FEWER_STEPS] if _TOO_MANY_STEPS in reason else []
         if last and _ENDED_WITHIN_A_STEP.search(last[-1]):
             advice.append(_CLOSER)
-        reasons = dict.fromkeys(map(sentence, (reason, *violations[:1], *last, *advice)))
+        reasons = dict.fromkeys(map(sentence, (reason, *logged.violations[:1], *last, *advice)))
         return FmuError(f"{name}: {'; '.join(reasons)}".replace(f"{folder}{os.sep}", ""))
 
     key = next(_KEYS)
     with ExitStack() as afterwards:
-        _LOGS[key] = collect
+        _LOGS[key] = logged.note
         afterwards.callback(_LOGS.pop, key)
         try:
             instance = _instance(folder, description, Interface(kind), key, **callback)
@@ -177,8 +162,7 @@ def instantiated(
             tool = f"; it needs {description.generationTool or 'its tool'} to run" if needs else ""
             raise explained(FmuError(f"{error}{tool}")) from error
         afterwards.callback(instance.freeInstance)
-        instance.logged_events, instance.log_texts = events, log
-        instance.violations, instance.sliding, instance.leaps = violations, sliding, leaps
+        instance.logged = logged
         yield instance, explained
 
 
@@ -202,6 +186,45 @@ class Violations(list[Violation]):
             del self[self.counter.violations :]
             self.counter.violations += 1
         self.append(one)
+
+
+@dataclass(frozen=True)
+class Logged:
+    """What an instance has logged.
+
+    Attributes:
+        texts: Its messages, unless all is well.
+        events: Times, s, and names of events.
+        violations: Violations of validity conditions.
+        sliding: The inputs by which relations stay 0, by these.
+        leaps: When inputs have jumped over which short changes: time and relation, by the inputs.
+    """
+
+    texts: list[str] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)
+    violations: Violations = field(default_factory=Violations)
+    sliding: dict[str, list[str]] = field(default_factory=dict)
+    leaps: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def note(self, *arguments: Any) -> None:
+        """Keep a message, the last argument in every version of the FMI."""
+        *_, status, _category, text = arguments
+        words = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+        if status != _OK:
+            self.texts.append(words)
+            if left := _LEFT.search(words):
+                self.violations.note(Violation(float(left[1]), left[2]))
+            elif leap := _LEAPS.search(words):
+                self.leaps.setdefault(leap[2], (leap[1], leap[3]))
+        elif event := _EVENT.search(words):
+            self.events.append((float(event[1]), event[2]))
+        elif slides := _SLIDES.search(words):
+            self.sliding[slides[1]] = slides[2].split(", ")
+
+    def clear(self) -> None:
+        """Forget all of it."""
+        for own in vars(self).values():
+            own.clear()
 
 
 def invalidity(violations: Iterable[Violation]) -> dict[str, Any]:

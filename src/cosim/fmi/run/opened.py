@@ -151,10 +151,10 @@ class OpenedFmu:
             raise
         done = perf_counter()
         if (end := found.stats.get("stop_time")) is not None:
-            found.stats["stop"] = f"{why_it_ended(instance.log_texts)} from {end:.12g} s on"
+            found.stats["stop"] = f"{why_it_ended(instance.logged.texts)} from {end:.12g} s on"
         stats = {
             **found.stats,
-            **invalidity(instance.violations),
+            **invalidity(instance.logged.violations),
             "solver": f"{master} {self.interface}",
             "solve_time": done - ready,
             "wall_time": done - began,
@@ -166,7 +166,7 @@ class OpenedFmu:
             found.rows,
             stats,
             numbers=request.numbers,
-            events=tuple(Event(time, name, {}, {}) for time, name in instance.logged_events),
+            events=tuple(Event(time, name, {}, {}) for time, name in instance.logged.events),
         )
         return run, found.growth
 
@@ -208,8 +208,7 @@ class OpenedFmu:
                 self._drop()
                 raise explained(error) from error
         instance, explained = self._instance
-        for logged in ("logged_events", "log_texts", "violations", "sliding", "leaps"):
-            getattr(instance, logged).clear()
+        instance.logged.clear()
         return instance, explained
 
     def _drop(self) -> None:

@@ -335,8 +335,8 @@ class Session:
             if ends:
                 return
             self.time += size
-            self.instance.logged_events.clear()  # no memory of the FMU's
-            self.instance.log_texts.clear()
+            self.instance.logged.events.clear()  # no memory of the FMU's
+            self.instance.logged.texts.clear()
             yield self.time
 
     def instantiate_bare(self, *, logger: bool) -> None:
