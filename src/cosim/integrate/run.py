@@ -58,12 +58,22 @@ _MOST_COMPILED_SWITCHES = 2_000  # with a solver that passes events in compiled 
 _SHORTER = "give a smaller step_size, or a solver with error control"
 
 
-def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck, Again]:
-    """Compute the initial values and integrate; without states, or with a single time, repeat them.
+class Integrated(NamedTuple):
+    """What an integration found.
 
-    Returns:
-        The motion, what half of its fixed steps tells, and what adds rows to it.
+    Attributes:
+        motion: The motion.
+        again: Returns it with further rows.
+        check: What half of its fixed steps tells.
     """
+
+    motion: Motion
+    again: Again
+    check: StepCheck = StepCheck()
+
+
+def _integrated(prepared: Prepared, numbers: Values) -> Integrated:
+    """Integrate from initial values; without states, or with a single time, repeat these."""
     problem, solver = prepared.problem, prepared.inner
     dae, grid, n = problem.dae, problem.grid, len(problem.grid)
     first = replace(numbers, u=input_values(dae, grid[:1], numbers, problem.inputs)[:, 0])
@@ -72,7 +82,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck,
         states, guesses = (np.tile(row[:, None], n) for row in (start.x, start.z))
         u = input_values(dae, grid, first, problem.inputs)
         motion = Motion(dae, grid, states, guesses, u, first.p, Counts())
-        return motion, StepCheck(), lambda _: motion
+        return Integrated(motion, lambda _: motion)
     found = integrate(problem, solver, start)
 
     def again(times: Vector) -> Motion:
@@ -93,7 +103,7 @@ def _integrated(prepared: Prepared, numbers: Values) -> tuple[Motion, StepCheck,
     check = StepCheck()
     if prepared.checks_validity and isinstance(solver, FixedStep) and not found.reason:
         check, found.reason = _step_check(problem, solver, found, start)
-    return found, check, again
+    return Integrated(found, again, check)
 
 
 def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
@@ -105,7 +115,7 @@ def _rate_without_value(dae: Dae, t: float, start: InitialState) -> str:
 
 
 def _evaluated(
-    prepared: Prepared, motion: Motion, check: StepCheck, again: Again
+    prepared: Prepared, integrated: Integrated
 ) -> tuple[Vector, int, Ending, list[Breach]]:
     """Evaluate the recorded variables while they are finite and, if requested, valid.
 
@@ -114,6 +124,7 @@ def _evaluated(
         stopped early, empty if it did not; and where validity conditions or fixed steps are
         violated.
     """
+    motion, again, check = integrated
     problem, reason = prepared.problem, motion.reason
     dae, grid, n = motion.dae, motion.time, motion.states.shape[1]
     checked = prepared.checks_validity
@@ -282,7 +293,7 @@ def changes_in(request: RunRequest) -> Vector:
     few = _MOST_COMPILED_SWITCHES if passes_events else _MOST_SWITCHES
     for own, most in {switching: few, dae: inf}.items():  # no limit if they are the same
         problem = replace(prepared.problem, dae=own, most_instants=most)
-        motion, _, again = _integrated(replace(prepared, problem=problem), request.numbers)
+        motion, again, _ = _integrated(replace(prepared, problem=problem), request.numbers)
         if motion.reason == INTERRUPTED:
             raise KeyboardInterrupt
         if not motion.reason:
@@ -335,12 +346,12 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     began, compiling, values = perf_counter(), time_compiling(), request.numbers
     name = prepared.problem.dae.full_name
     with doing(name):
-        motion, check, again = _integrated(prepared, values)
+        integrated = _integrated(prepared, values)
         try:
-            motion, recorded, reason = evaluated(prepared, motion, check, again)
+            motion, recorded, reason = evaluated(prepared, integrated)
         except KeyboardInterrupt:  # what was computed is shown
-            motion.reason = INTERRUPTED
-            motion, recorded, reason = evaluated(prepared, motion, check, again)
+            integrated.motion.reason = INTERRUPTED
+            motion, recorded, reason = evaluated(prepared, integrated)
         times = perf_counter() - began, time_compiling() - compiling
         found = trajectory_of(prepared, motion, recorded, values, times)
     if reason == INTERRUPTED:
@@ -350,21 +361,10 @@ def _run_once(prepared: Prepared, request: RunRequest) -> Trajectory:
     return found
 
 
-def evaluated(
-    prepared: Prepared,
-    motion: Motion,
-    check: StepCheck,
-    again: Again,
-) -> tuple[Motion, Recorded, Ending]:
-    """Return a motion up to its last good row, what it recorded, and why it stopped early.
-
-    Args:
-        prepared: The plan of the run.
-        motion: Its motion.
-        check: What half of its fixed steps tells.
-        again: Returns it with further rows.
-    """
-    table, n, reason, invalid = _evaluated(prepared, motion, check, again)
+def evaluated(prepared: Prepared, integrated: Integrated) -> tuple[Motion, Recorded, Ending]:
+    """Return a motion up to its last good row, what it recorded, and why it stopped early."""
+    motion = integrated.motion
+    table, n, reason, invalid = _evaluated(prepared, integrated)
     if n < motion.states.shape[1]:  # what happened after the last good row is not a result
         events = [e for e in motion.events if n and e.time <= motion.time[n - 1]]
         motion = replace(motion, events=events, stop="")
@@ -377,7 +377,7 @@ def evaluated(
     time, table = motion.time[rows], table[rows]
     table.setflags(write=False)  # a Trajectory need not copy it
     status = reason.after(motion.time[n - 1] if n else None) if reason else "complete"
-    note = _note(prepared, motion, check, again)
+    note = _note(prepared, integrated)
     return motion, Recorded(time, table, status, invalid, note), reason
 
 
@@ -429,15 +429,9 @@ def trajectory_of(
     )
 
 
-def _note(prepared: Prepared, motion: Motion, check: StepCheck, again: Again) -> str | None:
-    """Return what differs from the request, for the report; None if nothing does.
-
-    Args:
-        prepared: The plan of the run.
-        motion: Its motion.
-        check: What half of its fixed steps tells.
-        again: Returns it with further rows.
-    """
+def _note(prepared: Prepared, integrated: Integrated) -> str | None:
+    """Return what differs from the request, for the report; None if nothing does."""
+    motion, again, check = integrated
     inner, problem = prepared.inner, prepared.problem
     tight = f"{inner.name} ran at {inner.settings}, because the errors of its steps add up"
     gaps = problem.inputs.gaps(*problem.grid[[0, -1]]) if problem.inputs else ""

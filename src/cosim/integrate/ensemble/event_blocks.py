@@ -32,8 +32,7 @@ from cosim.integrate.motion import Motion
 from cosim.integrate.nominal import InitialState
 from cosim.integrate.passed_over import unquestioned, with_conditions
 from cosim.integrate.preparation import Prepared, prepare
-from cosim.integrate.run import Recorded, evaluated, repeatable, run, trajectory_of
-from cosim.integrate.validity import StepCheck
+from cosim.integrate.run import Integrated, Recorded, evaluated, repeatable, run, trajectory_of
 from cosim.model.many_values import ManyValues
 from cosim.model.request import RunRequest
 from cosim.model.values import Values, own_sizes
@@ -251,7 +250,7 @@ class EventBlocks:
             if growth_in(replace(known, instants=sides), self._tolerance, go_on) is not None:
                 return None
         try:
-            motion, recorded, reason = evaluated(self._prepared, known, StepCheck(), _needed)
+            motion, recorded, reason = evaluated(self._prepared, Integrated(known, _needed))
         except _RowsNeeded:
             return None
         if reason:

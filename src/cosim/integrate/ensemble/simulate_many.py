@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
-from typing import Unpack, cast
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,6 +43,7 @@ from cosim.text import one_note
 from cosim.trajectory import Column, Trajectory
 
 _MOST_LANES = 64
+_Ended = tuple[RunState, str, Row | None]  # how, why if not complete, and what there is of a run
 
 
 def simulate_many(
@@ -249,6 +250,31 @@ def _one_by_one(
     )
 
 
+def _ended(simulate: Callable[[], Row], time: Vector, stops: bool) -> _Ended:
+    """Return the end of a run, complete or not.
+
+    Args:
+        simulate: Simulates.
+        time, stops: See `one_by_one`.
+    """
+    try:
+        return RunState.COMPLETE, "", simulate()
+    except SolverError as error:
+        if error.partial is None:
+            return RunState.FAILED, str(error), None
+        row = Row.of(error.partial, time)
+        stopped = stops and row.invalid
+        return RunState.STOPPED if stopped else RunState.FAILED, error.partial.status, row
+    except KeyboardInterrupt as error:
+        found = error.partial if isinstance(error, Interrupted) else None
+        begun = None if found is None else Row.of(found, time)
+        return RunState.INTERRUPTED, "interrupted", begun
+    except FmuError as error:
+        return RunState.FAILED, str(error), None
+    except (ParameterError, InitialConditionError) as error:
+        return RunState.REFUSED, str(error), None
+
+
 def one_by_one(
     model: str,
     time: Vector,
@@ -274,46 +300,31 @@ def one_by_one(
         stops: Whether a run ends when a validity condition is violated.
         blocks: Runs that are computed together; None if there are none.
     """
-    interrupted = False
     table = np.full((runs, len(time), len(columns)), np.nan)
     states, reasons = [RunState.INTERRUPTED] * runs, dict[int, str]()
     counts, done = np.zeros((3, runs), dtype=np.int64), dict[int, Row]()
+
+    def row_of(number: int) -> Row:
+        known = blocks.take(number) if blocks else None
+        own = {name: float(column[number]) for name, column in given.items()}
+        return known or Row.of(simulate(own), time)
+
+    interrupted = False
     for number in range(runs):
-        reasons[number] = "interrupted"
-        if interrupted:
-            continue
-        if number in refused:
-            states[number], reasons[number] = RunState.REFUSED, refused[number]
-            continue
-        try:
-            row = blocks.take(number) if blocks else None
-            if row is None:
-                found = simulate({name: float(column[number]) for name, column in given.items()})
-                row = Row.of(found, time)
-            states[number] = RunState.COMPLETE
-            del reasons[number]
-        except SolverError as error:
-            states[number], reasons[number] = RunState.FAILED, str(error)
-            if error.partial is None:
-                continue
-            found = cast(Trajectory, error.partial)
-            row, reasons[number] = Row.of(found, time), found.status
-            if stops and row.invalid:
-                states[number] = RunState.STOPPED
-        except KeyboardInterrupt as error:
-            interrupted = True
-            if not isinstance(error, Interrupted) or error.partial is None:
-                continue
-            row = Row.of(cast(Trajectory, error.partial), time)
-        except (FmuError, ParameterError, InitialConditionError) as error:
-            failed = isinstance(error, FmuError)
-            states[number] = RunState.FAILED if failed else RunState.REFUSED
-            reasons[number] = str(error)
-            continue
-        n = len(row.values)
-        table[number, :n] = row.values
-        counts[:, number] = n, row.steps, row.rhs_calls
-        done[number] = row._replace(values=table[number, :n])
+        ended: _Ended = RunState.INTERRUPTED, "interrupted", None
+        if number in refused and not interrupted:
+            ended = RunState.REFUSED, refused[number], None
+        elif not interrupted:
+            ended = _ended(partial(row_of, number), time, stops)
+        states[number], reason, row = ended
+        interrupted = states[number] is RunState.INTERRUPTED
+        if reason:
+            reasons[number] = reason
+        if row is not None:
+            n = len(row.values)
+            table[number, :n] = row.values
+            counts[:, number] = n, row.steps, row.rhs_calls
+            done[number] = row._replace(values=table[number, :n])
     return Ensemble(
         model,
         time,
