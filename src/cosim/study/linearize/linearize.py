@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack, overload
 
 import numpy as np
 
 from casadi_models.dae import Dae
+from cosim.arrays import Vector
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.integrate.initial_values import input_values
 from cosim.integrate.initial_values import start_values as consistent_start
@@ -21,7 +22,7 @@ from cosim.model.values import number
 from cosim.study.linearize.along import EigenvalueSweep, eigenvalue_sweep
 from cosim.study.linearize.equilibrium import equilibrium
 from cosim.study.linearize.linearization import Linearization
-from cosim.study.linearize.local import local_system
+from cosim.study.linearize.local import LocalSystem, local_system
 from cosim.study.linearize.of_fmu import linearized_fmu
 from cosim.study.linearize.period import period_of
 from cosim.study.linearize.period_map import ACCURACY, PeriodMap
@@ -98,7 +99,7 @@ def linearize(
     if isinstance(model, str) and not model.lower().endswith(".fmu"):
         model = loaded(model)
     if along is None:
-        return _linearized(model, **options)
+        return _linearized(model, _Options(**options))
     if not isinstance(along, Mapping) or len(along) != 1:
         raise UsageError.of_type("linearize: along", along, "one name with its values")
     ((name, values),) = along.items()
@@ -114,64 +115,43 @@ def linearize(
 
     def point(value: float) -> Linearization:
         at_value: PointKeywords = {**options, "start_values": {**given, name: value}}
-        return _linearized(model, **at_value)
+        return _linearized(model, _Options(**at_value))
 
     return eigenvalue_sweep(model, name, values, point)
 
 
-def _linearized(
-    model: Dae | str | os.PathLike[str],
-    *,
-    at: str | float = START,
-    start_values: Mapping[str, float] | None = None,
-    outputs: Sequence[str] | None = None,
-    inputs: InputSeries | None = None,
-    start_time: float = 0.0,
-    solver: str | Solver | Tolerance | None = None,
-    relative_tolerance: float | None = None,
-) -> Linearization:
-    """Return the linear system near one state; see `linearize`."""
-    if isinstance(at, str) and at not in (START, EQUILIBRIUM):
-        raise UnknownName.among("linearize", "point", at, (START, EQUILIBRIUM, "a time in s"))
+@dataclass(frozen=True, kw_only=True)
+class _Options:
+    """Keywords of one linear system; see `linearize`."""
+
+    at: str | float = START
+    start_values: Mapping[str, float] | None = None
+    outputs: Sequence[str] | None = None
+    inputs: InputSeries | None = None
+    start_time: float = 0.0
+    solver: str | Solver | Tolerance | None = None
+    relative_tolerance: float | None = None
+
+
+def _linearized(model: Dae | str | os.PathLike[str], options: _Options) -> Linearization:
+    """Return the linear system near one state."""
+    at, outputs = options.at, options.outputs
     if not isinstance(at, str):
         at = number("linearize", "at", at)
+    elif at not in (START, EQUILIBRIUM):
+        raise UnknownName.among("linearize", "point", at, (START, EQUILIBRIUM, "a time in s"))
     if not isinstance(model, Dae):
-        if inputs is not None:
-            raise UsageError(f"{model}: the inputs of an FMU are constant here; leave inputs out")
-        if start_time:
-            raise UsageError(f"{model}: an FMU has its own start time; leave start_time out")
-        if at != START:
-            raise UsageError(
-                f"{model}: an FMU can be linearized at its initial state only; set start_values, "
-                "or linearize the model"
-            )
-        return linearized_fmu(model, start_values, outputs)
-    start_time = number("linearize", "start_time", start_time)
-    dae, time = model, at if isinstance(at, float) else start_time
-    values = requested(dae, start_values=start_values, inputs=inputs).numbers
+        _reject_of_models(model, at, options)
+        return linearized_fmu(model, options.start_values, outputs)
+    start = number("linearize", "start_time", options.start_time)
+    dae, time, inputs = model, at if isinstance(at, float) else start, options.inputs
+    values = requested(dae, start_values=options.start_values, inputs=inputs).numbers
     values = replace(values, u=input_values(dae, np.array([time]), values, inputs)[:, 0])
     every = tuple(v.name for v in dae.output_variables)
     names = every if outputs is None else checked_outputs(dae, outputs)
     period = period_of(dae, values)
     if isinstance(at, float):
-        request = requested(
-            dae,
-            start_values=start_values,
-            start_time=start_time,
-            stop_time=at,
-            output_interval=abs(at - start_time) or 1.0,
-            solver=solver,
-            relative_tolerance=relative_tolerance,
-            outputs=[v.name for v in dae.states],
-            inputs=inputs,
-        )
-        found = run(request)
-        if found.time[-1] < at:
-            raise ParameterError(
-                f"{dae.full_name}: at = {at:g} s is after the end of the run at "
-                f"{found.time[-1]:g} s, where {found.stats['stop']}; choose an earlier time"
-            )
-        x, point = found.values[-1], f"{at:g} s of a run"
+        x, point = _state_of_run(dae, start, at, options), f"{at:g} s of a run"
     else:
         x, point = consistent_start(dae, time, values), "its initial state"
     first = isinstance(at, str)
@@ -180,13 +160,7 @@ def _linearized(
         x, point = equilibrium(dae, time, x, values, over)
     local = local_system(dae, names, time, x, values, point)
     if over is not None:
-        after, n = over(x), len(x)
-        local = local._replace(
-            jacobian=np.vstack((np.hstack((after.by_x, after.by_u)), local.jacobian[n:])),
-            influence=over.influence,
-            noise=ACCURACY * np.abs(after.by_x),
-            rates=(after.x - x) / over.period,
-        )
+        local = _mapped(local, over, x)
     return Linearization.from_jacobian(
         local.jacobian,
         depends=local.influence,
@@ -203,4 +177,51 @@ def _linearized(
         nominal=np.array([v.nominal for v in dae.states]),
         point=point,
         period=over.period if over else None,
+    )
+
+
+def _reject_of_models(fmu: object, at: str | float, options: _Options) -> None:
+    """Raise UsageError for options that FMUs do not have."""
+    if options.inputs is not None:
+        raise UsageError(f"{fmu}: the inputs of an FMU are constant here; leave inputs out")
+    if options.start_time:
+        raise UsageError(f"{fmu}: an FMU has its own start time; leave start_time out")
+    if at != START:
+        raise UsageError(
+            f"{fmu}: an FMU can be linearized at its initial state only; set start_values, or "
+            "linearize the model"
+        )
+
+
+def _state_of_run(dae: Dae, start: float, at: float, options: _Options) -> Vector:
+    """Return the states, (nx,), at a time of a run from a start, s."""
+    found = run(
+        requested(
+            dae,
+            start_values=options.start_values,
+            start_time=start,
+            stop_time=at,
+            output_interval=abs(at - start) or 1.0,
+            solver=options.solver,
+            relative_tolerance=options.relative_tolerance,
+            outputs=[v.name for v in dae.states],
+            inputs=options.inputs,
+        )
+    )
+    if found.time[-1] < at:
+        raise ParameterError(
+            f"{dae.full_name}: at = {at:g} s is after the end of the run at "
+            f"{found.time[-1]:g} s, where {found.stats['stop']}; choose an earlier time"
+        )
+    return np.asarray(found.values[-1])
+
+
+def _mapped(local: LocalSystem, over: PeriodMap, x: Vector) -> LocalSystem:
+    """Return a linear system whose states change as over a period from a state."""
+    after, n = over(x), len(x)
+    return local._replace(
+        jacobian=np.vstack((np.hstack((after.by_x, after.by_u)), local.jacobian[n:])),
+        influence=over.influence,
+        noise=ACCURACY * np.abs(after.by_x),
+        rates=(after.x - x) / over.period,
     )
