@@ -29,7 +29,7 @@ from cosim.integrate.modes import Instant, Passed, blended, hybrid, sliding, wat
 from cosim.integrate.motion import EventRecord, Motion
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
-from cosim.integrate.places import between
+from cosim.integrate.places import finer_grid
 from cosim.integrate.saltation import crossed, slid_derivatives
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
@@ -90,7 +90,9 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
             max(solver.tolerance.pair),
             with_conditions(problem.dae),
         ),
-        lambda closer, steps: attempt(closer, np.unique(between(problem.grid, steps)), np.empty(0)),
+        lambda closer, steps: attempt(
+            closer, np.unique(finer_grid(problem.grid, steps)), np.empty(0)
+        ),
         goes_on or None,
         solver,
     )

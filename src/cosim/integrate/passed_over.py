@@ -20,7 +20,7 @@ from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.excursions import several_terms_of
 from cosim.integrate.modes import hybrid
 from cosim.integrate.motion import Motion, Path, rates_at
-from cosim.integrate.places import Place, counted, has_terms, places_on, rows_between
+from cosim.integrate.places import Place, has_terms, places_on, rows_between, step_count
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
 
@@ -103,7 +103,7 @@ class _Search:
 
     def _new_places(self) -> list[Place]:
         """Return where terms bend outside the known places; those of no width are noted."""
-        found = _apart(places_on(self.dae, self.motion, counted(self.plain)), self.places)
+        found = _apart(places_on(self.dae, self.motion, step_count(self.plain)), self.places)
         self.narrow = [place for place in found if place.is_narrow] or self.narrow
         return [place for place in found if not place.is_narrow]
 
@@ -157,7 +157,7 @@ def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
     """
     if not has_terms(dae):
         return motion
-    steps = counted(motion)
+    steps = step_count(motion)
     if not motion.is_as_dense_as(2 * steps) or places_on(dae, motion, steps):
         return None
     return replace(motion, note=_note_on_unbounded(dae, "max_step"))
@@ -221,7 +221,7 @@ def changes_of(
     if len(grid) < 2:
         return np.empty(0)
     watched, alone = _with_outputs(dae, names)
-    steps = counted(motion)
+    steps = step_count(motion)
     switched = [a.t for a, b in motion.instants if (a.modes != b.modes)[alone].any()]
     switches = [np.array(switched)]
     rows = rows_between(motion, grid)
@@ -264,7 +264,7 @@ def with_note_on_steps(motion: Motion) -> Motion:
     if len(motion.time) < 2 or motion.reason:
         return motion
     dae, remedy = motion.dae, "a smaller step_size"
-    found = places_on(dae, motion, counted(motion)) if has_terms(dae) else []
+    found = places_on(dae, motion, step_count(motion)) if has_terms(dae) else []
     note = f"{_passing(found[0])}; set {remedy}" if found else _note_on_unbounded(dae, remedy)
     return replace(motion, note=note)
 

@@ -30,7 +30,13 @@ _INNER = 4  # intervals of a part of a place over which rates are integrated
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a term bends: its edges, s, what moves it, and its values on a path."""
+    """Where a term bends.
+
+    Attributes:
+        edges: Times between which it changes, s, ascending; one if it is narrower than rounding.
+        name: Of what moves it.
+        values: Returns it on a path, (n,).
+    """
 
     edges: Vector
     name: str
@@ -80,7 +86,7 @@ def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def places_on(dae: Dae, motion: Motion, steps: int) -> list[Place]:
-    """Return where terms bend within a part of an average step."""
+    """Return where terms bend within a part of an average step of a motion of so many steps."""
     names = _moving(dae)
     path, p, found = Path.of(motion), motion.p, list[Place]()
     for terms in terms_of(dae):
@@ -159,18 +165,18 @@ def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
     return apart(list(zip(at[:-1][inside].tolist(), at[1:][inside].tolist(), strict=True)))
 
 
-def counted(motion: Motion) -> int:
+def step_count(motion: Motion) -> int:
     """Return how many steps of a motion count: at least one, and not more than are looked at."""
     return min(max(motion.counts.steps or 0, 1), _MOST_STEPS)
 
 
 def rows_between(motion: Motion, grid: Vector) -> Vector:
     """Return times within a grid, s, if the rows of a motion show too little of it; else none."""
-    steps = counted(motion)
-    return np.empty(0) if motion.is_as_dense_as(2 * steps) else between(grid, steps)
+    steps = step_count(motion)
+    return np.empty(0) if motion.is_as_dense_as(2 * steps) else finer_grid(grid, steps)
 
 
-def between(grid: Vector, steps: int) -> Vector:
+def finer_grid(grid: Vector, steps: int) -> Vector:
     """Return a grid with times between its own, so that every average step has several."""
     steps = min(steps, _MOST_STEPS)
     count = np.ceil(_ROWS * steps * np.diff(grid) / (grid[-1] - grid[0])).astype(int)
@@ -183,11 +189,11 @@ def finer_than_steps(motion: Motion, inputs: InputSeries | None) -> str:
     begin, end = motion.time[[0, -1]]
     if inputs is not None:
         rows = (begin < inputs.time) & (inputs.time < end)
-        if rows.sum() > counted(motion):
+        if rows.sum() > step_count(motion):
             return f"steps pass over rows of {', '.join(inputs.names)}"
     path = Path.of(motion)
     for terms in terms_of(motion.dae):
         x, knots = _moved(terms, path), _knots(motion.dae, terms, motion.p)
-        if ((x.min() < knots) & (knots < x.max())).sum() > counted(motion):
+        if ((x.min() < knots) & (knots < x.max())).sum() > step_count(motion):
             return f"steps pass over knots of a table of {_moving(motion.dae)[terms.moving]}"
     return ""
