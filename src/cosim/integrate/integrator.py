@@ -369,21 +369,8 @@ def integrator(
     times = checked_grid(grid)
     requested = requested_solver(dae, solver, relative_tolerance, absolute_tolerance, step_size)
     has_events = hybrid(dae) is not None
-    span = float(times[0]), float(times[-1])
-    if not has_events and len(found := pulse_times(dae, assign(dae, {}).p, *span)):
-        warn(
-            f"{dae.full_name}: a term of time changes from {found[0]:.6g} to {found[-1]:.6g} s, in "
-            "short pulses that CasADi's integrators may step over; divide the grid there into "
-            "several integrators, or use cosim.simulate",
-            stacklevel=3,
-        )
-    names = [] if has_events else [n for n in landmarks(dae).moving if n != "time"]
-    if names:
-        warn(
-            f"{dae.full_name}: a term of {names[0]} changes in a small part of its way, which "
-            "CasADi's integrators may step over; divide the grid there, or use cosim.simulate",
-            stacklevel=3,
-        )
+    if not has_events:
+        _warn_of_short_changes(dae, times)
     chosen, _ = chosen_solver(dae, requested)
     if isinstance(chosen, FixedStep) and chosen.step_size is None:
         chosen = replace(chosen, step_size=dae.experiment.output_interval)
@@ -412,6 +399,20 @@ def integrator(
     if derivatives and not by_casadi:
         jacobian = jacobian_of_run(problem, chosen, nominal)
     return _bare_function(dae, built, sizes, len(times), jacobian)
+
+
+def _warn_of_short_changes(dae: Dae, times: Vector) -> None:
+    """Warn of terms of a model without events that change within a part of a step."""
+    pulses = pulse_times(dae, assign(dae, {}).p, float(times[0]), float(times[-1]))
+    places = {"time": f"from {pulses[0]:.6g} to {pulses[-1]:.6g} s"} if len(pulses) else {}
+    states = [name for name in landmarks(dae).moving if name != "time"]
+    places |= dict.fromkeys(states[:1], "in a small part of its way")
+    for name, place in places.items():
+        warn(
+            f"{dae.full_name}: a term of {name} changes {place}, which CasADi's integrators may "
+            "step over; divide the grid there into several integrators, or use cosim.simulate",
+            stacklevel=4,
+        )
 
 
 def _bare_function(
