@@ -176,26 +176,22 @@ static Status higher_rates(Instance *self, const Wanted *wanted, double values[]
     return refuse(self, DISCARD, "a derivative is not finite");
 }
 
-static Status rates_at(Instance *self, const Wanted *wanted, int highest, double values[]) {
-    const Status status = time_derivatives(self, wanted->references, wanted->count, values);
-    return status != OK || highest < 2 ? status : higher_rates(self, wanted, values);
-}
-
 static Status get_rates(Instance *self, const Reference references[], size_t count,
                         const Order orders[], double values[]) {
     const Wanted wanted = {references, orders, count};
+    const bool asks = self->host.ask_inputs != NULL;
+    double motion[MOST_INPUT_ORDER][ROOM(NU)];
     int highest = 0;
     if (count == 0) return OK;
     if (check_orders(self, count, orders, &highest) != OK) return ERROR;
-    if (!self->host.ask_inputs) return rates_at(self, &wanted, highest, values);
     /* who is asked for inputs declares none of their rates: those of the last step, which what
        waits or slides still needs, are not those that come */
-    double motion[MOST_INPUT_ORDER][ROOM(NU)];
     memcpy(motion, self->state.motion, sizeof motion);
-    forget_motion(self);
-    const Status status = rates_at(self, &wanted, highest, values);
+    if (asks) forget_motion(self);
+    Status status = time_derivatives(self, references, count, values);
+    if (status == OK && highest > 1) status = higher_rates(self, &wanted, values);
     memcpy(self->state.motion, motion, sizeof motion);
-    self->state.stale |= is_sliding_now(self) ? AFTER_START : 0; /* its modes follow from both */
+    if (asks && is_sliding_now(self)) self->state.stale |= AFTER_START; /* modes follow from both */
     return status;
 }
 
