@@ -15,9 +15,11 @@ SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
     ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_INV, ca.OP_DIV, ca.OP_POW,
     ca.OP_CONSTPOW, ca.OP_SINH, ca.OP_COSH, ca.OP_TAN, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT,
-    ca.OP_CALL,
+    ca.OP_HYPOT, ca.OP_ATAN2, ca.OP_CALL,
 }  # fmt: skip
-_RESTING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_CALL}
+_RESTING = {
+    ca.OP_EXP, ca.OP_EXPM1, ca.OP_TANH, ca.OP_ERF, ca.OP_ATAN, ca.OP_ATAN2, ca.OP_CALL,
+}  # fmt: skip
 _STAYS = {ca.OP_DIV: 0, ca.OP_POW: 1, ca.OP_CONSTPOW: 1}  # the operand that does, of an inverse
 _MOST_OPERATIONS = 60  # of a term; larger ones are not narrow, and their bounds are wide
 _MOST_MODES = 4  # of a called function

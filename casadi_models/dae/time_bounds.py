@@ -7,6 +7,7 @@ Source  Moore, Kearfott & Cloud, Introduction to Interval Analysis, SIAM 2009.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import product
 from math import comb, prod
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
 _MOST_DEGREE = 4  # of a polynomial
+_LEAST = 1e-300  # distance of what is below 0
 # Factors of the first and of the last operand, which are the same if there is one
 _SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)}
 # Coefficients by what moves each product, in shares of its span: {(0, 0): c} is c (share of 0)^2
@@ -88,7 +90,7 @@ class _UnknownError(Exception):
 
 _MONOTONE = {
     ca.OP_EXP, ca.OP_EXPM1, ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT, ca.OP_ASIN, ca.OP_ATAN,
-    ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERF,
+    ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERF, ca.OP_ERFINV,
 }  # fmt: skip
 
 
@@ -103,8 +105,8 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     lows, highs = list[SX](), list[SX]()
     for i, value in expressions.items():
         rate = ca.jtimes(value, dae.t, 1)
-        rows = ca.densify(ca.vertcat(value, rate, ca.jtimes(rate, dae.t, 1)))
-        spans = _spans(rows, dae.t, lambda _, t: _Span(t, t + length, stays=False))
+        rates = [rate, ca.jtimes(rate, dae.t, 1)]
+        spans = _spans(value, rates, dae.t, lambda _, t: _Span(t, t + length, stays=False))
         if not spans:
             continue
         known.append(i)
@@ -139,7 +141,8 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
             continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
         spans = _spans(
-            ca.vertcat(value, rate),
+            value,
+            [rate],
             ca.vertcat(dae.t, moving, rates),
             lambda row, _: _Span(starts[row], ends[row], stays=False),
         )
@@ -168,11 +171,10 @@ def bounds_along(value: SX, moving: SX, length: SX) -> tuple[SX, SX] | None:
         The bound by its second derivative, and that by its values; both hold, but for NaN.
     """
     second = ca.jtimes(ca.jtimes(value, moving, 1), moving, 1)
-    rows = ca.vertcat(second, value)
-    spans = _spans(rows, moving, lambda row, value: _moving(row, value, value + length))
+    spans = _spans(value, [second], moving, lambda row, at: _moving(row, at, at + length))
     if not spans:
         return None
-    bend, around = spans
+    around, bend = spans
     most = ca.fmax(ca.fabs(bend.low), ca.fabs(bend.high))
     return most * length**2 / 8, around.high - around.low
 
@@ -186,33 +188,57 @@ def bounds_within(value: SX, moving: SX, ends: tuple[SX, SX]) -> tuple[SX, SX] |
         ends: Symbols of the least and greatest values of these, (n, 1) each.
     """
     low, high = map(ca.vertsplit, ends)
-    spans = _spans(value, moving, lambda row, _: _moving(row, low[row], high[row]))
+    spans = _spans(value, [], moving, lambda row, _: _moving(row, low[row], high[row]))
     return (spans[0].low, spans[0].high) if spans else None
 
 
-def _spans(rows: SX, symbols: SX, moving: Callable[[int, SX], _Span]) -> list[_Span]:
-    """Return the spans of a column from those of moving symbols; [] if they are unknown."""
+def _spans(
+    value: SX, rates: Sequence[SX], symbols: SX, moving: Callable[[int, SX], _Span]
+) -> list[_Span]:
+    """Return the spans of a value and of its derivatives from those of moving symbols.
+
+    Where the value jumps within its span, those of its derivatives are not finite.
+
+    Returns:
+        Of the value, and of each derivative; [] if they are unknown.
+    """
     places = {symbol.element_hash(): row for row, symbol in enumerate(ca.vertsplit(symbols))}
+    rows, jumps = ca.cse(ca.vertcat(value, *rates)), list[SX]()
 
     def leaf(node: SX) -> _Span:
         place = places.get(node.element_hash())
         return _constant(node) if place is None else moving(place, node)
 
-    def operation(code: int, operands: list[_Span]) -> _Span:
+    def operation(side: int, code: int, operands: list[_Span]) -> _Span:
         if code == ca.OP_CALL:
             raise _UnknownError
         if all(operand.stays for operand in operands):
             return _constant(applied(code, [operand.low for operand in operands]))
+        if code == ca.OP_HYPOT:
+            squares = [operation(side, ca.OP_SQ, [operand]) for operand in operands]
+            return operation(side, ca.OP_SQRT, [operation(side, ca.OP_ADD, squares)])
+        if code == ca.OP_ATAN2:
+            y, x = map(_within_terms, operands)
+            jumps.append(ca.logic_and(ca.logic_and(y.low < 0, y.high >= 0), x.low < 0))
+            return _angle(y, x, jumps[-1], side if len(jumps) == 1 else 0)
         terms = _polynomial(code, operands)
         if terms is None:
             return _result(code, [_within_terms(operand) for operand in operands])
         return _result(code, operands)._replace(terms=terms)
 
+    def on(side: int) -> list[_Span]:
+        jumps.clear()
+        return [*map(_within_terms, replayed(rows, leaf, partial(operation, side)))]
+
     try:
-        spans = replayed(ca.cse(rows), leaf, operation)
+        found, *slopes = on(1)
     except _UnknownError:
         return []
-    return [_within_terms(span) for span in spans]
+    if jumps:
+        found = _around(column([*found[:2], *on(-1)[0][:2]]))
+    for jump in jumps:
+        slopes = [_Span(*(ca.if_else(jump, SX.nan(), e) for e in s[:2]), False) for s in slopes]
+    return [found, *slopes]
 
 
 def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
@@ -298,11 +324,29 @@ def _product(a: _Span, b: _Span) -> _Span:
         if factor.stays and factor.low.is_constant():
             ends = (factor.low * other.low, factor.low * other.high)
             return _Span(*(ends if float(factor.low) >= 0 else ends[::-1]), False)
-    corners = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
-    is_finite = ca.fabs(ca.sum1(ca.vertcat(*corners))) < SX.inf()  # fmin and fmax pass over NaN
-    ends = (ca.mmin(ca.vertcat(*corners)), ca.mmax(ca.vertcat(*corners)))
-    low, high = (ca.if_else(is_finite, end, SX.nan()) for end in ends)
+    return _around(column(x * y for x in (a.low, a.high) for y in (b.low, b.high)))
+
+
+def _around(values: SX) -> _Span:
+    """Return the span of some values, (n, 1); NaN if one is not finite."""
+    is_finite = ca.fabs(ca.sum1(values)) < SX.inf()  # fmin and fmax pass over NaN
+    low, high = (ca.if_else(is_finite, f(values), SX.nan()) for f in (ca.mmin, ca.mmax))
     return _Span(low, high, False)
+
+
+def _angle(y: _Span, x: _Span, jumps: SX, side: int) -> _Span:
+    """Return the span of an angle.
+
+    Args:
+        y, x: Spans of its sine and its cosine, or of their multiples.
+        jumps: Whether they hold places where it jumps by a turn.
+        side: Of which side of these the span is: 1 above, -1 below, 0 both.
+    """
+    if not side:
+        return _around(column(end for own in (1, -1) for end in _angle(y, x, jumps, own)[:2]))
+    low = ca.if_else(jumps, 0, y.low) if side > 0 else y.low
+    high = y.high if side > 0 else ca.if_else(jumps, -_LEAST, y.high)
+    return _around(column(ca.atan2(a, b) for a in (low, high) for b in (x.low, x.high)))
 
 
 def _inverse(a: _Span, _: _Span) -> _Span:
