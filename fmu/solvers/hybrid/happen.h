@@ -170,7 +170,10 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             const bool beyond = is_beyond(relation->floor, modes[i], past);
             const bool moved =
                 laws->blind && relation->moved && beyond && rates[i] >= -ROUNDING * seen.sizes[i];
-            zero[i] = (i == crossing || crossed) && !moved;
+            /* an angle has jumped by a turn: then the search has met no crossing */
+            const double most = JUMP * s->slack[i] + (rates[i] < 0 ? late * speed : 0);
+            const bool jumped = i == crossing && gap < -most;
+            zero[i] = (i == crossing || crossed) && !moved && !jumped;
             rests[i] = i != crossing && !(rates[i] < 0);
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
         }

@@ -40,9 +40,10 @@ static inline int leaving_at(const Switching *s, const Place *place) {
 }
 
 /* A time at which a margin falls below 0: after it at `low`, no later than `high`, where it has
- * been seen to be below 0 if it `crosses`. */
+ * been seen to be below 0 if it `crosses`. One that rises may jump a little later than was seen:
+ * `further` on. */
 typedef struct {
-    double low, high;
+    double low, high, end, further;
     int trials;
     bool crosses;
 } Bounds;
@@ -51,13 +52,17 @@ typedef struct {
  * the same time once it is known to rounding. */
 static inline double better_time(Bounds *self, double t, double inside, double rate) {
     double better = t - inside / rate;
-    if (inside < 0)
-        self->high = t;
-    else
-        self->low = t;
-    self->crosses |= inside < 0;
-    if (!(rate < 0 && better >= self->low && better <= self->high) ||
-        ++self->trials > MOST_OF_NEWTON)
+    const bool beyond = inside < 0, lost = !beyond && t >= self->high; /* as steps are rounded */
+    if (!beyond) self->low = t;
+    if (beyond || lost) {
+        self->high = beyond ? t : self->end;
+        self->crosses = beyond;
+    }
+    self->further = fmax(8 * self->further, 4 * ulp(self->high));
+    if (!self->crosses && rate > 0)
+        better = fmin(self->low + self->further, self->high);
+    else if (!(rate < 0 && better >= self->low && better <= self->high) ||
+             ++self->trials > MOST_OF_NEWTON)
         better = self->low + (self->high - self->low) / 2;
     return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
 }
@@ -118,7 +123,7 @@ static inline int first_at(const Place *place, const Switching *s, int found) {
  * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
-    Bounds bounds = {begin, end, 0, false};
+    Bounds bounds = {begin, end, end, 0, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
     int beyond = 0;
@@ -143,7 +148,8 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }
-    return left <= ahead && !rises ? CROSSES : TOUCHES;
+    const bool jumps = bounds.crosses && left < -JUMP * slack_of(s, crossing->relation);
+    return left <= ahead && (!rises || jumps) ? CROSSES : TOUCHES;
 }
 
 /* A place after a touch at which every relation is within its mode again; false if none is. */
