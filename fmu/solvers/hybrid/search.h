@@ -39,11 +39,11 @@ static inline int leaving_at(const Switching *s, const Place *place) {
     return -1;
 }
 
-/* A time at which a margin falls below 0: after it at `low`, no later than `high`, where it has
- * been seen to be below 0 if it `crosses`. One that rises may jump a little later than was seen:
- * `further` on. */
+/* A time at which a margin falls below 0: after it at `low`, where it was `within`, no later than
+ * `high`, where it has been seen to be below 0 if it `crosses`. One that rises may jump a little
+ * later than was seen: `further` on. */
 typedef struct {
-    double low, high, end, further;
+    double low, high, end, within, further;
     int trials;
     bool crosses;
 } Bounds;
@@ -53,7 +53,10 @@ typedef struct {
 static inline double better_time(Bounds *self, double t, double inside, double rate) {
     double better = t - inside / rate;
     const bool beyond = inside < 0, lost = !beyond && t >= self->high; /* as steps are rounded */
-    if (!beyond) self->low = t;
+    if (!beyond) {
+        self->low = t;
+        self->within = inside;
+    }
     if (beyond || lost) {
         self->high = beyond ? t : self->end;
         self->crosses = beyond;
@@ -123,7 +126,7 @@ static inline int first_at(const Place *place, const Switching *s, int found) {
  * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
-    Bounds bounds = {begin, end, end, 0, 0, false};
+    Bounds bounds = {begin, end, end, 0, 0, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
     int beyond = 0;
@@ -148,7 +151,8 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }
-    const bool jumps = bounds.crosses && left < -JUMP * slack_of(s, crossing->relation);
+    const double least = JUMP * slack_of(s, crossing->relation);
+    const bool jumps = bounds.crosses && left < -least && bounds.within > least;
     return left <= ahead && (!rises || jumps) ? CROSSES : TOUCHES;
 }
 
