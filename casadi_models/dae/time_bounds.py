@@ -235,9 +235,11 @@ def _spans(
     except _UnknownError:
         return []
     if jumps:
-        found = _around(column([*found[:2], *on(-1)[0][:2]]))
+        below = on(-1)[0]
+        found = _around(column([found.low, found.high, below.low, below.high]))
     for jump in jumps:
-        slopes = [_Span(*(ca.if_else(jump, SX.nan(), e) for e in s[:2]), False) for s in slopes]
+        known = ca.if_else(jump, SX.nan(), 1)
+        slopes = [_Span(known * s.low, known * s.high, False) for s in slopes]
     return [found, *slopes]
 
 
@@ -343,7 +345,8 @@ def _angle(y: _Span, x: _Span, jumps: SX, side: int) -> _Span:
         side: Of which side of these the span is: 1 above, -1 below, 0 both.
     """
     if not side:
-        return _around(column(end for own in (1, -1) for end in _angle(y, x, jumps, own)[:2]))
+        above, below = (_angle(y, x, jumps, own) for own in (1, -1))
+        return _around(column([above.low, above.high, below.low, below.high]))
     low = ca.if_else(jumps, 0, y.low) if side > 0 else y.low
     high = y.high if side > 0 else ca.if_else(jumps, -_LEAST, y.high)
     return _around(column(ca.atan2(a, b) for a in (low, high) for b in (x.low, x.high)))
