@@ -42,3 +42,11 @@ def test_an_angle_that_jumps_the_other_way_is_an_event(engine):
         assert final["n"] == 2, (speed, place)  # before, but for model exchange: 0 or 1
         error = 3e-3 if engine == "rk4" else 1e-5  # of steps of 0.5 s
         assert final["w"] == pytest.approx(right, abs=error), (speed, place)
+
+
+def test_derivatives_at_a_jump_are_rejected():
+    outputs = {"outputs": ["w"], "with_respect_to": ["place"], "stop_time": 10}
+    with pytest.raises(cosim.CosimError, match=r"atan2 jumps by a turn in < of .* at 3.14159"):
+        cosim.sensitivity(rotation(), **outputs)
+    found = cosim.sensitivity(rotation(), **outputs | {"stop_time": 3})
+    assert found["w", "place"][-1] == pytest.approx(-1, abs=1e-6)

@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
+from casadi_models.dae.expressions import operations
 from casadi_models.dae.hybrid import Hybrid
 from cosim.arrays import Vector
 from cosim.codegen.hybrid_laws import added
@@ -51,11 +52,20 @@ def crossed(
         slid: Relations that have slid before along the same inputs.
 
     Raises:
-        SolverError: Events happen at one time, and the derivatives depend on their order.
+        SolverError: Events happen at one time, and the derivatives depend on their order; or an
+            angle jumps.
     """
     switching = kernel.switching.numbers.copy()
     zero = kernel.happen(at, first).zero
     kernel.switching.numbers[:] = switching
+    argument = kernel.system.relations[first].argument if first >= 0 else SX(0)
+    if first not in zero and ca.OP_ATAN2 in operations(argument):
+        raise SolverError.of(
+            kernel.system.dae.full_name,
+            f"atan2 jumps by a turn in {kernel.system.described(first)} at {at.t:.12g} s, where "
+            "derivatives are not known",
+            "write the condition without atan2",
+        )
     order = sorted(zero | ({first} if first >= 0 else frozenset()))
     if len(order) < 2:
         found, happened = _one(kernel, p, at, next(iter(order), -1), frozenset())
