@@ -194,6 +194,14 @@ def test_a_bump_where_a_state_turns_is_seen(above):
     assert abs(run["y"][-1] / right - 1) < 1e-3  # before: 1
 
 
+def test_a_term_that_grows_up_to_where_a_state_turns_is_seen():
+    x, v, y = SX.sym("x"), SX.sym("v"), SX.sym("y")
+    laws = {"x": ca.vertcat(x, v, y), "ode": ca.vertcat(v, -x, 300 * ca.exp(9e4 * (x - 1)))}
+    dae = cosim.from_casadi(laws, {"v": 1.0}, stop_time=7, output_interval=0.5)
+    run = cosim.simulate(dae, solver="dop853")
+    assert run["y"][-1] == pytest.approx(np.sqrt(2 * np.pi), rel=1e-3)  # before: 0
+
+
 @pytest.mark.slow_rows("dop853")
 @pytest.mark.parametrize("solver", ["dop853", "cvodes"])
 def test_a_bump_of_a_remainder_is_seen_in_each_period(solver):

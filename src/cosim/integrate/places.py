@@ -22,7 +22,8 @@ from cosim.integrate.motion import Motion, Path
 from cosim.model.inputs import InputSeries
 
 _PARTS = 4  # of the way in an average step, within which a term that every step sees is a line
-_BEYOND = 0.05  # of a way, by which rows may miss its ends
+_BEYOND = 0.05  # of a way, by which rows may miss its ends ...
+_LARGER = 20.0  # ... where the range of a term may be so much larger that none seems to change
 _MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
 _INNER = 4  # intervals of a part of a place over which rates are integrated
@@ -126,13 +127,14 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
     edges, knots = np.linspace(low, high, count + 1), _knots(dae, terms, p)
-    return [
-        (term, own)
-        for term in range(len(terms.bounded))
-        for own in bent_parts(
-            terms.value(term, p), terms.off(term, p), edges, knots, is_table=terms.alone[term]
-        )
-    ]
+    reached, found = np.unique(np.clip(edges, x.min(), x.max())), list[tuple[int, Vector]]()
+    for term in range(len(terms.bounded)):
+        values, off, is_table = terms.value(term, p), terms.off(term, p), terms.alone[term]
+        parts = bent_parts(values, off, edges, knots, is_table=is_table)
+        if not parts and not np.ptp(values(edges)) <= _LARGER * np.ptp(values(reached)):
+            parts = bent_parts(values, off, reached, knots, is_table=is_table)
+        found += [(term, own) for own in parts]
+    return found
 
 
 def _knots(dae: Dae, terms: Terms, p: Vector) -> Vector:
