@@ -109,6 +109,7 @@ Status handle_instant(Instance *self, int crossing, Outcome *outcome) {
     const bool stopped = run_stopped(self);
     const double t = event_time(&laws, &state->switching, at.t);
     const bool later[ROOM(MODES)] = {0};
+    state->switching.looked = nextafter(at.t, INFINITY); /* all before it is decided here */
     Happening found;
     bool replan;
     happen(&laws, &state->switching, &at, state->values + FIRST_STATE, crossing, later, NULL,

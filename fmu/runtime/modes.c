@@ -165,15 +165,17 @@ Status get_insides(Instance *self, double inside[]) {
     const double *values = self->state.values;
     double all[ROOM(MODES)], rates[ROOM(MODES)];
     Spread spread;
-    if (laws.blind) { /* solvers of co-simulation note their own looks */
+    /* an importer that goes back locates an event; solvers of co-simulation note their own looks */
+    const bool ends = values[TIME] >= s->looked;
+    if (laws.blind) {
         note_least(&laws, s, &at, &spread);
-        s->rounded += values[TIME] != s->looked;
-        s->looked = values[TIME];
+        s->rounded += values[TIME] > s->looked;
+        s->looked = fmax(values[TIME], s->looked);
     }
     measure(&laws, s, values + FIRST_MODE, &seen, all, rates);
     for (int i = 0, k = 0; i < MODES; i++) {
         if (relation_table[i].of_time) continue;
-        const bool passing = is_passing(s, values[TIME], i, all[i], rates[i]);
+        const bool passing = is_passing(s, values[TIME], i, all[i], rates[i], ends);
         inside[k++] = passing ? fmin(all[i], -s->slack[i]) : all[i];
     }
     return OK;

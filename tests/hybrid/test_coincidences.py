@@ -63,7 +63,33 @@ def followed():
     return model.freeze()
 
 
+def teeth():
+    """Return resets in each tenth of a second, and sums that reach limits just at a reset."""
+    model = cosim.Model("teeth", stop_time=2.0, output_interval=0.25)
+    x, y = model.state("x", "1", 0.0, "since the last"), model.state("y", "1", 0.0, "time")
+    n, m = model.discrete("n", "1", 0.0, "resets"), model.discrete("m", "1", 0.0, "resets before")
+    model.derivative(x, 1)
+    model.derivative(y, 1)
+    model.when(x >= 0.1, {n: n + 1, x: 0}, name="tooth")
+    model.when(x + y >= 1.1, {m: m + n}, name="sum")
+    model.when(x + y >= 2.1, {m: m + n}, name="last")
+    return model.freeze()
+
+
+def turned():
+    """Return two crossings at 1.5 s, after new values at two others; one takes the other away."""
+    model = cosim.Model("turned", stop_time=2.0, output_interval=0.25)
+    x, y = model.state("x", "1", -1.0, "rises"), model.state("y", "1", 0.0, "turns")
+    n, d = model.discrete("n", "1", 0.0, "crossings"), model.discrete("d", "1", -1.0, "direction")
+    model.derivative(x, 1)
+    model.derivative(y, -2 * d)
+    model.when(x >= 0, {n: n + 1, d: -d, y: x}, name="turn")
+    model.when(y - x + 1 <= 0, {n: n + 1, x: -x / 2}, name="back")
+    return model.freeze()
+
+
 SAMPLES, REACHED, FOLLOWED, TAKEN = samples(), reached(), followed(), taken_away()
+TEETH, TURNED = teeth(), turned()
 
 
 @pytest.mark.parametrize(("master", "tolerance"), ME)
@@ -106,3 +132,20 @@ def test_an_event_takes_away_what_came_to_rest_at_this_instant(engine):
     run = run_on(engine, TAKEN)
     assert run.at(0.75)["v"] == pytest.approx(0.5, abs=1e-5)
     assert run.final["v"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(("master", "tolerance"), ME)
+def test_an_importer_locates_what_coincides_after_other_events(master, tolerance, fmi):
+    options = {
+        "interface": "ModelExchange",
+        "master": master,
+        "relative_tolerance": tolerance,
+    }
+    run = cosim.simulate_fmu(exported(TEETH, fmi), **options)
+    found = [event.time for event in run.events if event.name != "tooth"]
+    assert found == pytest.approx([1, 1.05, 2], abs=1e-12)  # measured 1e-13; before: 1.05, 1.1
+    assert (run.final["n"], run.final["m"]) == (20, 9 + 10 + 19)
+    run = cosim.simulate_fmu(exported(TURNED, fmi), **options)
+    assert [event.time for event in run.events] == pytest.approx([1, 4 / 3, 1.5, 1.5], abs=1e-12)
+    assert run.final["n"] == 4

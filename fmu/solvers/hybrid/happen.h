@@ -140,7 +140,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     const double late = laws->blind ? SAME_TIME : located(s, t); /* as importers come to an event */
     double wait = 0; /* until all that only rounding keeps within its mode is beyond rounding */
     for (int i = 0; i < MODES; i++)
-        if (is_passing(s, t, i, inside[i], rates[i])) wait = fmax(wait, inside[i] / -rates[i]);
+        if (is_passing(s, t, i, inside[i], rates[i], 1)) wait = fmax(wait, inside[i] / -rates[i]);
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         const bool held = is_held(laws, s, &seen, i);

@@ -35,7 +35,7 @@ typedef struct {
  * left it on; -1: none. */
 static inline int leaving_at(const Switching *s, const Place *place) {
     for (int i = 0; i < MODES; ++i)
-        if (is_passing(s, place->t, i, place->inside[i], place->rates[i])) return i;
+        if (is_passing(s, place->t, i, place->inside[i], place->rates[i], 1)) return i;
     return -1;
 }
 

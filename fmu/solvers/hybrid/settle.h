@@ -91,14 +91,16 @@ static inline void measure(const Laws *laws, const Switching *s, const double mo
     }
 }
 
-/* Whether only rounding is between an argument and its boundary, be it that it is within its mode
- * yet, and it passes all that rounding makes of it in a time that is none. What is slow beside the
- * sizes of states has the rounding of their values, if its rate is no rounding itself. */
-static inline bool is_passing(const Switching *s, double t, int i, double inside, double rate) {
+/* Whether no more than rounding of the argument and of the time, so many `times`, is between an
+ * argument and its boundary, be it that it is within its mode yet, and it passes all that rounding
+ * makes of it in a time that is none. What is slow beside the sizes of states has the rounding of
+ * their values, if its rate is no rounding itself. */
+static inline bool is_passing(const Switching *s, double t, int i, double inside, double rate,
+                              double times) {
     const double way = -rate * time_scale(s, t), slack = s->slack[i];
     const bool slow = !(slack <= SAME_TIME * way), moves = !slow || -rate > s->faint[i];
-    const double noise = slow ? s->least[i] : slack;
-    return s->state[i] != SLIDES && moves && inside <= slack + noise + located(s, t) * way &&
+    const double noise = times * (slow ? s->least[i] : slack), ahead = times * located(s, t) * way;
+    return s->state[i] != SLIDES && moves && inside <= slack + noise + ahead &&
            noise <= SAME_TIME * way && way < INFINITY;
 }
 
@@ -273,7 +275,7 @@ static inline void note_passing(const Laws *laws, const Switching *s, const Poin
         const Relation *relation = &laws->relations[i];
         const bool known = !relation->of_time && !(laws->blind && relation->moved);
         const bool rounded = inside[i] >= 0 && (laws->blind || inside[i] <= 2 * s->slack[i]);
-        const bool passes = rounded && is_passing(s, at->t, i, inside[i], rates[i]);
+        const bool passes = rounded && is_passing(s, at->t, i, inside[i], rates[i], 1);
         zero[i] = zero[i] || (moved[i] && known && passes);
     }
 }
