@@ -1,8 +1,12 @@
 """What coincides at an instant but for rounding, or for the tolerance of an importer."""
 
+import ctypes
+
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi2 import FMU2Model
 from helpers.hybrid_engines import exported, run_on
 
 import cosim
@@ -149,3 +153,70 @@ def test_an_importer_locates_what_coincides_after_other_events(master, tolerance
     run = cosim.simulate_fmu(exported(TURNED, fmi), **options)
     assert [event.time for event in run.events] == pytest.approx([1, 4 / 3, 1.5, 1.5], abs=1e-12)
     assert run.final["n"] == 4
+
+
+class Importer:
+    """An importer of model exchange that locates events to a tolerance, on either side of them."""
+
+    def __init__(self, path, tolerance, late):
+        description = fmpy.read_model_description(path)
+        self.tolerance, self.late = tolerance, late
+        self.x = np.zeros(description.numberOfContinuousStates)
+        self.rates, self.signs = (
+            np.zeros_like(self.x),
+            np.zeros(description.numberOfEventIndicators),
+        )
+        self.n = next(v.valueReference for v in description.modelVariables if v.name == "n")
+        name = description.modelExchange.modelIdentifier
+        self.fmu = FMU2Model(
+            guid=description.guid, unzipDirectory=fmpy.extract(path), modelIdentifier=name
+        )
+        self.fmu.instantiate()
+        self.fmu.setupExperiment(startTime=0.0, stopTime=2.0)
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def call(self, function, values):
+        pointer = values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        function(pointer, len(values))
+        return values.copy()
+
+    def update(self):
+        while self.fmu.newDiscreteStates()[0]:
+            pass
+        self.fmu.enterContinuousTimeMode()
+        return self.call(self.fmu.getContinuousStates, self.x)
+
+    def inside(self, t, x):
+        self.fmu.setTime(t)
+        self.call(self.fmu.setContinuousStates, x)
+        return self.call(self.fmu.getEventIndicators, self.signs) > 0
+
+    def count(self, step):
+        """Return n at 2 s, by the method of Euler, which is exact for constant rates."""
+        t, x = 0.0, self.update()
+        while t < 2:
+            inside = self.inside(t, x)
+            low, high = t, min(t + step, 2.0) if 2 - t - step > 1e-12 else 2.0
+            rates = self.call(self.fmu.getDerivatives, self.rates)
+            event = any(self.inside(high, x + (high - t) * rates) != inside)
+            while event and high - low > max(self.tolerance, 2**-52):
+                middle = (low + high) / 2
+                left = any(self.inside(middle, x + (middle - t) * rates) != inside)
+                low, high = (low, middle) if left else (middle, high)
+            end = low if event and not self.late and low > t else high
+            x = x + (end - t) * rates
+            t = end
+            self.inside(t, x)
+            if event:
+                self.fmu.enterEventMode()
+                x = self.update()
+        return self.fmu.getReal([self.n])[0]
+
+
+@pytest.mark.parametrize("late", [True, False])
+@pytest.mark.parametrize("tolerance", [0, 1e-13, 1e-11])
+def test_an_importer_comes_late_or_early_to_what_coincides(tolerance, late):
+    for step in (0.25, 0.1, 0.0371):
+        assert Importer(exported(TURNED, 2), tolerance, late).count(step) == 4
+    assert Importer(exported(TEETH, 2), tolerance, late).count(0.03) == 20

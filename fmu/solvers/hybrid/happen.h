@@ -138,7 +138,8 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     measure(laws, s, modes, &seen, inside, rates);
     const double t = event_time(laws, s, at->t), scale = time_scale(s, t);
     const double late = laws->blind ? SAME_TIME : located(s, t); /* as importers come to an event */
-    double wait = 0; /* until all that only rounding keeps within its mode is beyond rounding */
+    double wait = 0;   /* until all that only rounding keeps within its mode is beyond rounding */
+    double missed = 0; /* by an importer that is late or early, which moves what follows */
     for (int i = 0; i < MODES; i++)
         if (is_passing(s, t, i, inside[i], rates[i], 1)) wait = fmax(wait, inside[i] / -rates[i]);
     for (int i = 0; i < MODES; i++) {
@@ -176,8 +177,10 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             zero[i] = (i == crossing || crossed) && !moved && !jumped;
             rests[i] = i != crossing && !(rates[i] < 0);
             if (zero[i]) way = fmax(way, fabs(rates[i]) * (t - s->last) / s->slack[i]);
+            if (crossed && rates[i] < 0) missed = fmax(missed, fabs(gap / rates[i]));
         }
     }
+    if (laws->blind) s->rounded += fmin(missed / scale, SAME_TIME) / DBL_EPSILON;
     if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, inside, zero, &seen);
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
