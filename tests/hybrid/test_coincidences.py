@@ -7,7 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Model
-from helpers.hybrid_engines import exported, run_on
+from helpers.hybrid_engines import ENGINES, exported, run_on
 
 import cosim
 
@@ -220,3 +220,17 @@ def test_an_importer_comes_late_or_early_to_what_coincides(tolerance, late):
     for step in (0.25, 0.1, 0.0371):
         assert Importer(exported(TURNED, 2), tolerance, late).count(step) == 4
     assert Importer(exported(TEETH, 2), tolerance, late).count(0.03) == 20
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_relation_that_passes_slowly_takes_no_other_one_with_it(engine):
+    model = cosim.Model("flat", stop_time=5.0, output_interval=0.1)
+    x, d = model.state("x", "1", 0.0, "position"), model.state("d", "1", -3.1, "distance")
+    slow, w = model.state("slow", "s", 0.0, "how long"), model.state("w", "s", 0.0, "how long")
+    model.derivative(x, 1)
+    model.derivative(d, 1)
+    model.derivative(slow, ca.if_else(d**3 > 0, 1, 0))
+    model.derivative(w, ca.if_else(x > 4, 1, 0))  # before, in model exchange: from 3.1 on
+    final = run_on(engine, model.freeze()).final
+    assert final["slow"] == pytest.approx(1.9, abs=2e-4)
+    assert final["w"] == pytest.approx(1, abs=1e-6)

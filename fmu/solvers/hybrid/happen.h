@@ -142,6 +142,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
     double missed = 0; /* by an importer that is late or early, which moves what follows */
     for (int i = 0; i < MODES; i++)
         if (is_passing(s, t, i, inside[i], rates[i], 1)) wait = fmax(wait, inside[i] / -rates[i]);
+    wait = fmin(wait, SAME_TIME * scale); /* a relation may pass ever so slowly */
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         const bool held = is_held(laws, s, &seen, i);
