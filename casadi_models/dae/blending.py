@@ -9,9 +9,8 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import column
+from casadi_models.dae.expressions import applied, column, replayed
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied, replayed
 
 _LOGIC: dict[int, Callable[..., SX]] = {  # as polynomials of truth values between 0 and 1
     ca.OP_AND: lambda a, b: a * b,

@@ -1,7 +1,8 @@
 """What must be known of a CasADi expression before it may stand in a `Dae`."""
 
-from collections.abc import Collection, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from math import isfinite
+from typing import TypeVar
 
 import casadi as ca
 from casadi import MX, SX
@@ -62,6 +63,30 @@ def in_postorder(roots: Sequence[SX], *, leftmost_first: bool = False) -> Iterat
             waiting.append((key, node, keys, True))
             later = [(k, own, list[int](), False) for k, own in zip(keys, operands, strict=True)]
             waiting += later[::-1] if leftmost_first else later
+
+
+def applied(code: int, terms: Sequence[SX]) -> SX:
+    """Return the result of an operation by CasADi's code of it."""
+    return SX.unary(code, *terms) if len(terms) == 1 else SX.binary(code, *terms)
+
+
+_Value = TypeVar("_Value")
+
+
+def replayed(
+    rows: SX, leaf: Callable[[SX], _Value], operation: Callable[[int, list[_Value]], _Value]
+) -> list[_Value]:
+    """Return the values of the rows of a column, from its graph.
+
+    Args:
+        rows: (n, 1).
+        leaf: Returns the value of a symbol or a constant.
+        operation: Returns that of an operation, from CasADi's code of it and its operands.
+    """
+    values, every = dict[int, _Value](), ca.vertsplit(ca.densify(rows))
+    for key, node, keys in in_postorder(every):
+        values[key] = operation(node.op(), [values[k] for k in keys]) if keys else leaf(node)
+    return [values[row.element_hash()] for row in every]
 
 
 def reject_faulty(rows: Collection[tuple[str, SX]], known: SX, allowed: str) -> None:

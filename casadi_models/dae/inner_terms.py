@@ -10,9 +10,9 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import in_postorder, symbols
+from casadi_models.dae.expressions import applied, in_postorder, symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied, called, mode_count
+from casadi_models.dae.relations import called, mode_count
 from casadi_models.dae.single_terms import SUMS, several_terms, single_terms
 
 

@@ -3,10 +3,10 @@
 The mode of a sign is 1 or -1, that of a floor an integer; see `casadi_models.dae.hybrid`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 from casadi import SX
@@ -14,12 +14,15 @@ from casadi import SX
 from casadi_models.dae.expressions import (
     RELATIONS,
     Node,
+    applied,
     column,
     in_postorder,
     operations,
+    replayed,
     symbols,
 )
 from casadi_models.dae.frozen import Dae
+from casadi_models.dae.quotients import without_poles
 from casadi_models.dae.variables import Variable
 
 KEEPS = 2  # in place of a mode, where either side has the same value
@@ -99,6 +102,7 @@ class LawsWithModes:
         in_laws = _parts_of([row for rows in columns[: len(laws)] for row in rows], nodes)
         in_laws -= _parts_of(smooth, nodes)
         changes, constant = set[int](), symbols(dae.p)
+        self._constant = constant
         for key, value, keys in nodes:
             if changes.intersection(keys) or (value.is_symbolic() and key not in constant):
                 changes.add(key)
@@ -193,7 +197,8 @@ class LawsWithModes:
         return ca.if_else(mode > 0, found, outside)
 
     def _sign(self, argument: SX, operation: str, at_zero: int = KEEPS) -> SX:
-        return self._mode(Relation(argument, False, at_zero, operation), self._switches)
+        relation = Relation(without_poles(argument, self._constant), False, at_zero, operation)
+        return self._mode(relation, self._switches)
 
     def _floor(self, argument: SX, operation: str) -> SX:
         return self._mode(Relation(argument, True, KEEPS, operation), self._switches)
@@ -229,30 +234,6 @@ def called(function: ca.Function, terms: Sequence[SX]) -> list[SX]:
         for i, (begin, end) in enumerate(pairwise(ends))
     ]
     return [result.nz[i] for result in function.call(given) for i in range(result.nnz())]
-
-
-def applied(code: int, terms: Sequence[SX]) -> SX:
-    """Return the result of an operation by CasADi's code of it."""
-    return SX.unary(code, *terms) if len(terms) == 1 else SX.binary(code, *terms)
-
-
-_Value = TypeVar("_Value")
-
-
-def replayed(
-    rows: SX, leaf: Callable[[SX], _Value], operation: Callable[[int, list[_Value]], _Value]
-) -> list[_Value]:
-    """Return the values of the rows of a column, from its graph.
-
-    Args:
-        rows: (n, 1).
-        leaf: Returns the value of a symbol or a constant.
-        operation: Returns that of an operation, from CasADi's code of it and its operands.
-    """
-    values, every = dict[int, _Value](), ca.vertsplit(ca.densify(rows))
-    for key, node, keys in in_postorder(every):
-        values[key] = operation(node.op(), [values[k] for k in keys]) if keys else leaf(node)
-    return [values[row.element_hash()] for row in every]
 
 
 def term_sizes(laws: SX) -> SX:

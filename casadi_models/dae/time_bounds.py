@@ -15,9 +15,8 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import column
+from casadi_models.dae.expressions import applied, column, replayed
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied, replayed
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
 _MOST_DEGREE = 4  # of a polynomial

@@ -12,9 +12,8 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import operations
+from casadi_models.dae.expressions import applied, operations, replayed
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import applied, replayed
 from casadi_models.dae.variables import Start, Variable
 
 

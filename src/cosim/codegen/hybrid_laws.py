@@ -6,9 +6,8 @@ from itertools import accumulate
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import column, symbols
+from casadi_models.dae.expressions import column, replayed, symbols
 from casadi_models.dae.hybrid import Hybrid
-from casadi_models.dae.relations import replayed
 from cosim.memo import cached_per_thread
 
 _ROUNDING = 1e-14  # relative, of a term

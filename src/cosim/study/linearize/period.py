@@ -10,8 +10,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.expressions import operations
-from casadi_models.dae.relations import applied, replayed
+from casadi_models.dae.expressions import applied, operations, replayed
 from cosim.errors import InitialConditionError
 from cosim.model.values import Values
 
