@@ -4,8 +4,9 @@
 
 States move on a unit circle, so that the motion is known. A relation of them is up to 200 times
 faster than they are, or true for a small part of a radian. Crossings count whose excursions are
-deeper than 1e-5 of the relation's size on both sides; they are found by samples, hundreds in the
-shortest period or width. A run is right if it has as many events, up to those that are shallower.
+deeper than 1e-5 of the relation's size on both sides; they are found by samples, 2000 in the
+shortest period and 400 in a width. A run is right if it has as many events, up to those that are
+shallower.
 """
 
 import itertools
@@ -67,7 +68,7 @@ def numbers(kind: str, random: np.random.Generator) -> np.ndarray:
 def excursions(relation: Relation, p: np.ndarray, narrow: bool) -> tuple[np.ndarray, ...]:
     """Return the begins and ends of the excursions above 0: of the deep ones, and of all."""
     fastest = 2 * max(p[0], p[3]) + 2  # rad/s
-    step = p[2] / 400 if narrow else 2 * np.pi / fastest / 400
+    step = p[2] / 400 if narrow else 2 * np.pi / fastest / 2000
     t = np.linspace(0, STOP, int(STOP / step) + 1)
     f = relation(np.sin(t), np.cos(t), p, np)
     edges = np.flatnonzero(np.diff(f > 0))
