@@ -178,8 +178,7 @@ static bool end_at_crossing(Stepper *self, double *after, double x[]) {
     const Motion motion = {.solver = self, .at = within_step, .step_to = step_again};
     Crossing crossing;
     memory->crossing = 0;
-    const bool goes_on = memory->rested > 0 && *after < next_event(self->fmu);
-    if (!find_event(self->fmu, &motion, memory->until, *after, goes_on, &crossing)) return false;
+    if (!find_event(self->fmu, &motion, memory->until, *after, &crossing)) return false;
     if (crossing.relation < 0) return true;
     if (!(self->fresh_error <= 1)) return false;
     memcpy(x, self->fresh, sizeof self->fresh);

@@ -203,8 +203,7 @@ static bool end_at_crossing(Instance *self, const State *from, const double *sta
     motion.stages = stages;
     Crossing crossing;
     const double begin = from->values[TIME], end = to.values[TIME];
-    const bool goes_on = inputs_rest(self) && end < next_event(self);
-    if (!find_event(self, &motion, begin, end, goes_on, &crossing)) return false;
+    if (!find_event(self, &motion, begin, end, &crossing)) return false;
     *relation = crossing.relation;
     if (crossing.relation >= 0) return true;
     const Switching noted = self->state.switching;

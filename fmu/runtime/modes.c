@@ -249,10 +249,11 @@ static bool is_quiet(SearchedStep *self, const Point *at, const Place *a, const 
 }
 #endif
 
-bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
+bool find_event(Instance *self, const Motion *motion, double begin, double end,
                 Crossing *crossing) {
     SearchedStep step = {.fmu = self, .laws = laws_of(self), .motion = motion};
     Switching *s = &self->state.switching;
+    const Beyond beyond = end >= s->next ? BY_EVENTS : inputs_rest(self) ? AS_IS : BUT_INPUTS;
     double x[ROOM(NX)], z[ROOM(NZ)] = {0}, u[ROOM(NU)];
     Place before;
     motion->at(motion->solver, begin, x, z, u);
@@ -265,10 +266,11 @@ bool find_event(Instance *self, const Motion *motion, double begin, double end, 
     look_at(&step, end, &after);
     step.proven =
         outside(&before) < 0 && outside(&after) < 0 && is_quiet(&step, &at, &before, &after);
-    if (!step.proven || is_suspect(s, &before, &after, goes_on)) sharpen_fully(motion->quintic);
+    if (!step.proven || is_suspect(&step.laws, s, &before, &after, beyond))
+        sharpen_fully(motion->quintic);
 #endif
-    const Located how =
-        find_crossing(look_at, stays, step_afresh, &step, s, begin, before, end, goes_on, crossing);
+    const Located how = find_crossing(look_at, stays, step_afresh, &step, &step.laws, s, begin,
+                                      before, end, beyond, crossing);
     if (how == CROSSES && crossing->relation < 0) let_go(&step, end);
     return how != FAILS;
 }

@@ -42,8 +42,8 @@ static Status get_insides(Instance *self, double inside[]);
 static Status complete_step(Instance *self, Status severity);
 
 /* The first crossing of a relation within a step, where fresh steps cross; relation -1: none. False
-   where the last fresh step failed. `goes_on`: beyond its end the motion goes on as it is. */
-static bool find_event(Instance *self, const Motion *motion, double begin, double end, bool goes_on,
+   where the last fresh step failed. */
+static bool find_event(Instance *self, const Motion *motion, double begin, double end,
                        Crossing *crossing);
 
 /* The relation that leaves its mode first on a motion of which no step can be made afresh, or -1;

@@ -178,7 +178,8 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
     Watch *watch = self.watch;
     const double stop = grid->end;
     self.step = (Step){.watch = watch,
-                       .known = stop,
+                       .end = stop,
+                       .beyond = grid->turns ? BUT_INPUTS : BY_EVENTS,
                        .motion = &self,
                        .within = within_accepted,
                        .step_to = step_afresh,

@@ -64,7 +64,7 @@ static inline int end_run(BlockRun *self) {
     Place place;
     if (next_until(&self->switching, stop) == stop) return let_happen(self, stop, -1);
     const int leaving = margins_at(&self->watch.laws, &self->switching, &at, &place)
-                            ? leaving_at(&self->switching, &place)
+                            ? leaving_at(&self->watch.laws, &self->switching, &place, AS_IS)
                             : -1;
     return leaving >= 0 ? let_happen(self, stop, leaving) : 0;
 }

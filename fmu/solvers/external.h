@@ -121,7 +121,8 @@ static inline int integrate_pieces(Problem *self, Watch *watch, const Schedule *
                            .first = begin == 0 ? z : NULL,
                            .states = out + (begin + 1) * NX,
                            .unknowns = z ? z + (begin + 1) * NZ : NULL,
-                           .largest = largest};
+                           .largest = largest,
+                           .turns = schedule->columns == 1 && end < schedule->points - 1};
         if (schedule->columns > 1)
             memcpy(self->u, inputs_to(schedule, begin + 1), NU * sizeof *self->u);
         const int code = integrate_timed(solver.integrate, self, watch, &grid, x, course);

@@ -93,7 +93,8 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
             if (look_afresh(watch, end, x, slope_ahead, &ahead)) return NOT_FINITE;
             Step step = {.watch = watch,
                          .t = t,
-                         .known = grid->end,
+                         .end = grid->end,
+                         .beyond = grid->turns ? BUT_INPUTS : BY_EVENTS,
                          .motion = &made,
                          .within = within_made,
                          .step_to = step_shorter,

@@ -137,12 +137,14 @@ SHARED void cosim_margins(Call *call, long long n, const double *arguments, cons
 /* The relation that leaves its mode at each of n rows, or -1. */
 SHARED void cosim_leaving(Call *call, long long n, const double *times, const double *inside,
                           const double *towards, double *found) {
+    Kernel self;
     Place place;
+    open_kernel(&self, call);
     for (long long k = 0; k < n; k++) {
         place.t = times[k];
         memcpy(place.inside, inside + k * MODES, MODES * sizeof *inside);
         memcpy(place.rates, towards + k * MODES, MODES * sizeof *towards);
-        found[k] = leaving_at(switching_of(call), &place);
+        found[k] = leaving_at(&self.laws, self.switching, &place, AS_IS);
     }
 }
 
@@ -246,8 +248,8 @@ SHARED long long cosim_search(Call *call, const MotionRows *rows, FreshRun *run,
     open_kernel(&self, call);
     look_on_cubic(&cubic, begin, &before);
     if (run) {
-        find_crossing(look_on_cubic, stays_on_cubic, run_to, &cubic, self.switching, begin, before,
-                      end, goes_on, &found);
+        find_crossing(look_on_cubic, stays_on_cubic, run_to, &cubic, &self.laws, self.switching,
+                      begin, before, end, goes_on ? AS_IS : BY_EVENTS, &found);
     } else {
         found.relation =
             crossing_between(look_on_cubic, stays_on_cubic, &cubic, before, end, &place);

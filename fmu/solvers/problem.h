@@ -2,6 +2,7 @@
 #ifndef PROBLEM_H
 #define PROBLEM_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -73,6 +74,7 @@ typedef struct {
     double *first; /* takes the unknowns at the start; NULL where they are not wanted */
     double *states, *unknowns;
     double largest;
+    bool turns; /* beyond the end, the motion goes on, but inputs may move otherwise */
 } Grid;
 
 /* Where a run ended, the size of its last step, and how many output times it has passed. */

@@ -19,12 +19,13 @@ static inline void skip_columns(Grid *self, long long count) {
     if (self->unknowns) self->unknowns += count * NZ;
 }
 
-/* The part of a grid before its next time event; one at its end, where inputs may jump, is left to
- * the caller. */
+/* The part of a grid before its next time event; one at its end is left to the caller, as inputs
+ * may jump there, unless they only turn. */
 static inline Grid untimed_part(const Grid *grid, const Switching *s) {
     Grid part = *grid;
     double due = next_until(s, grid->end);
-    if (!(due < grid->end)) return part;
+    if (due > grid->end || (due == grid->end && !grid->turns)) return part;
+    part.turns = false;
     part.points = 0;
     while (part.points < grid->points && grid->times[part.points] < due) ++part.points;
     if (part.points > 0 && due - grid->times[part.points - 1] <= 8 * ulp(largest_time(s, due)))
@@ -58,10 +59,11 @@ static inline int integrate_timed(Integrate *integrate, Problem *self, Watch *wa
     if (!watch) return integrate(self, grid, x, course);
     for (;;) {
         const Grid part = untimed_part(&left, watch->switching);
+        const bool is_last = part.end == left.end && part.turns == left.turns;
         const long long passed = course->passed;
         const int code = integrate_part(integrate, self, part, x, course);
         skip_columns(&left, course->passed - passed);
-        if (code != EVENT && (code != SUCCESS || part.end == left.end)) return code;
+        if (code != EVENT && (code != SUCCESS || is_last)) return code;
         Crossing event = {course->reached, watch->relation, course->reached};
         if (code == SUCCESS) {
             double dx[NX], z[NZ + 1];

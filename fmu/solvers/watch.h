@@ -28,7 +28,8 @@ typedef struct {
 /* A step that was accepted: its states within it, a fresh step to a time in it. */
 typedef struct {
     Watch *watch;
-    double t, known; /* known: the motion goes on as it is up to this time */
+    double t, end; /* up to that time the motion goes on as it is, and there as `beyond` tells */
+    Beyond beyond;
     void *motion;
     int (*within)(void *motion, double t, double *x, double *dx);
     int (*step_to)(void *motion, double t, double *x);
@@ -169,6 +170,7 @@ static inline void look_closely_at(const Step *self, Place *first, Place *last) 
  * fails. */
 static inline int crossing_of(Step *self, const double *x, const double *times, double *columns,
                               const Place *begin, Place *end, Crossing *found) {
+    const Laws *laws = &self->watch->laws;
     Switching *s = self->watch->switching;
     Place before = *begin, place;
     note_steps(s, end->t, 1);
@@ -184,12 +186,12 @@ static inline int crossing_of(Step *self, const double *x, const double *times, 
         } else {
             place = *end;
         }
-        const bool goes_on = place.t < self->known;
-        if (!is_suspect(s, &before, &place, goes_on) && stays(self, &before, &place)) continue;
+        const Beyond beyond = place.t < self->end ? AS_IS : self->beyond;
+        if (!is_suspect(laws, s, &before, &place, beyond) && stays(self, &before, &place)) continue;
         sharpen_fully(self->quintic);
         look_closely_at(self, &before, &place);
-        if (find_crossing(look_within, stays, step_freshly, self, s, self->t, before, place.t,
-                          goes_on, found) == FAILS)
+        if (find_crossing(look_within, stays, step_freshly, self, laws, s, self->t, before, place.t,
+                          beyond, found) == FAILS)
             return 1;
         if (found->relation >= 0) return 0;
         if (place.t == end->t) *end = place;

@@ -199,17 +199,18 @@ static bool step(void *motion, double t, Place *found) {
 }
 
 static void a_crossing_is_located_and_a_touch_is_none(void) {
+    const Laws laws = {.relations = relations};
     const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     Parabola crosses = {0.01, 0.01}, touches = {1e-9, -1e-9};
     look(&crosses, 0, &before);
-    assert(find_crossing(look, proven, step, &crosses, &fresh, 0, before, 1, true, &found) ==
-           CROSSES);
+    assert(find_crossing(look, proven, step, &crosses, &laws, &fresh, 0, before, 1, AS_IS,
+                         &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
     look(&touches, 0, &before);
-    assert(find_crossing(look, proven, step, &touches, &fresh, 0, before, 1, true, &found) ==
-           CROSSES);
+    assert(find_crossing(look, proven, step, &touches, &laws, &fresh, 0, before, 1, AS_IS,
+                         &found) == CROSSES);
     assert(found.relation < 0);
 }
 
@@ -237,15 +238,16 @@ static bool has_no_dip(void *motion, const Place *a, const Place *b) {
 }
 
 static void what_bounds_do_not_exclude_is_looked_at_closely(void) {
+    const Laws laws = {.relations = relations};
     const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     look_at_dip(NULL, 0, &before);
-    assert(find_crossing(look_at_dip, proven, step_into_dip, NULL, &fresh, 0, before, 1, true,
-                         &found) == CROSSES);
+    assert(find_crossing(look_at_dip, proven, step_into_dip, NULL, &laws, &fresh, 0, before, 1,
+                         AS_IS, &found) == CROSSES);
     assert(found.relation < 0);
-    assert(find_crossing(look_at_dip, has_no_dip, step_into_dip, NULL, &fresh, 0, before, 1, true,
-                         &found) == CROSSES);
+    assert(find_crossing(look_at_dip, has_no_dip, step_into_dip, NULL, &laws, &fresh, 0, before, 1,
+                         AS_IS, &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - (AT - WIDTH)) < 1e-15);
 }
 
@@ -265,17 +267,37 @@ static bool step_both(void *motion, double t, Place *found) {
 }
 
 static void what_has_left_and_comes_back_was_first(void) {
+    const Laws laws = {.relations = relations};
     const Switching fresh = {.span = 1};
     Place before;
     Crossing found;
     Parabola motion = {0, 0.01};
     look_late(&motion, 0, &before);
-    assert(find_crossing(look_late, proven, step_both, &motion, &fresh, 0, before, 1, true,
+    assert(find_crossing(look_late, proven, step_both, &motion, &laws, &fresh, 0, before, 1, AS_IS,
                          &found) == CROSSES);
     assert(found.relation == WALL && fabs(found.time - 0.45) < 1e-15);
 }
 
+/* What only rounding is between it and its end crosses there, unless inputs may turn it. */
+static void only_what_inputs_move_waits_where_they_may_turn(void) {
+    Relation driven[MODES];
+    memcpy(driven, relations, sizeof relations);
+    driven[WALL].moved = BY_SOME;
+    const Laws laws = {.relations = relations}, with_input = {.relations = driven};
+    const Switching fresh = {.span = 1};
+    Place end;
+    note_no_event(1, &end);
+    end.inside[WALL] = 4 * DBL_EPSILON;
+    end.rates[WALL] = -1;
+    assert(leaving_at(&laws, &fresh, &end, AS_IS) == WALL);
+    assert(leaving_at(&laws, &fresh, &end, BUT_INPUTS) == WALL);
+    assert(leaving_at(&laws, &fresh, &end, BY_EVENTS) < 0);
+    assert(leaving_at(&with_input, &fresh, &end, AS_IS) == WALL);
+    assert(leaving_at(&with_input, &fresh, &end, BUT_INPUTS) < 0);
+}
+
 int main(void) {
+    only_what_inputs_move_waits_where_they_may_turn();
     walls_hit_together_count_both_and_once();
     friction_sticks_and_releases_on_the_side_of_the_load();
     a_condition_that_stays_true_ends_the_run();

@@ -237,3 +237,50 @@ def test_rounding_of_many_steps_hides_no_event_at_the_stop_time(solver, way, tmp
         run = cosim.simulate(dae, **steps)
     assert run.final["x"] == pytest.approx(0, abs=1e-13)  # 4.3e-14, as 400 steps are rounded
     assert run.final["n"] == 1  # before: 0
+
+
+@cache
+def driven(kind):
+    """Return what counts at every half second, by a sawtooth or a sampler, beside an input."""
+    model = cosim.Model(kind, stop_time=2.0, output_interval=0.25)
+    u, n = model.input("u", "1", 0.0, "drive"), model.discrete("n", "1", 0.0, "count")
+    y, z = (model.state(name, "1", 0.0, name) for name in "yz")
+    model.derivative(y, u)
+    model.derivative(z, 1.0)
+    if kind == "sampler":
+        model.every(0.5, {z: 0, n: n + 1}, offset=0.5, name="sample")
+    else:
+        model.when(z >= 0.5, {z: 0, n: n + 1}, name="tooth")
+    return model.freeze()
+
+
+KINKS = cosim.InputSeries(("u",), [0, 0.5, 1, 2], [[0], [0.5], [0], [-2]])
+STEPS = cosim.InputSeries(("u",), [0, 0.5, 0.5, 1, 2], [[0], [1], [0], [1], [1]])
+MOVING = pytest.mark.parametrize("drive", [{"u": "t"}, KINKS, STEPS], ids=["t", "kinks", "steps"])
+COUNTING = pytest.mark.parametrize("kind", ["sawtooth", "sampler"])
+
+
+def assert_inputs_move_no_event_off_its_row(run):
+    np.testing.assert_allclose(run["z"], run.time % 0.5, rtol=0, atol=1e-13)  # measured 7e-15
+    np.testing.assert_array_equal(run["n"], run.time // 0.5)
+
+
+@MOVING
+@COUNTING
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_events_at_rows_stay_there_while_inputs_move(solver, kind, drive):
+    run = cosim.simulate(driven(kind), inputs=drive, solver=solver)
+    assert_inputs_move_no_event_off_its_row(run)
+
+
+@MOVING
+@COUNTING
+@pytest.mark.parametrize("solver", ["dop853", "rk4"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_events_at_communication_points_stay_there_while_inputs_move(fmi, solver, kind, drive):
+    """The last one was lost, and the others came after their rows."""
+    path = FOLDER / f"{kind}_{fmi}_{solver}.fmu"
+    if not path.exists():
+        cosim.export_fmu(driven(kind), path, fmi=fmi, solver=solver)
+    run = cosim.simulate_fmu(path, interface="CoSimulation", inputs=drive)
+    assert_inputs_move_no_event_off_its_row(run)

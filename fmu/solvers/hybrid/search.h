@@ -31,11 +31,18 @@ typedef struct {
     double since; /* from then on, only rounding is between the argument and its boundary */
 } Crossing;
 
+/* How a motion goes on beyond the end of a step: by events there, as it is, or as it is but for
+ * what inputs move, which may turn. */
+typedef enum { BY_EVENTS, AS_IS, BUT_INPUTS } Beyond;
+
 /* The relation that leaves its mode at a place, such as an output time, whatever side rounding has
  * left it on; -1: none. */
-static inline int leaving_at(const Switching *s, const Place *place) {
-    for (int i = 0; i < MODES; ++i)
-        if (is_passing(s, place->t, i, place->inside[i], place->rates[i], 1)) return i;
+static inline int leaving_at(const Laws *laws, const Switching *s, const Place *place,
+                             Beyond beyond) {
+    for (int i = 0; i < MODES && beyond != BY_EVENTS; ++i)
+        if (!(beyond == BUT_INPUTS && laws->relations[i].moved) &&
+            is_passing(s, place->t, i, place->inside[i], place->rates[i], 1))
+            return i;
     return -1;
 }
 
@@ -70,16 +77,16 @@ static inline double better_time(Bounds *self, double t, double inside, double r
     return fabs(better - t) <= 2 * DBL_EPSILON * fabs(better) ? t : better;
 }
 
-/* Whether a relation has, or may have, left its mode between two places, be it by rounding;
- * `goes_on`: the motion goes on as it is. */
-static inline int is_suspect(const Switching *s, const Place *a, const Place *b, bool goes_on) {
+/* Whether a relation has, or may have, left its mode between two places, be it by rounding. */
+static inline int is_suspect(const Laws *laws, const Switching *s, const Place *a, const Place *b,
+                             Beyond beyond) {
     Place first = *a, last = *b;
     for (int i = 0; i < MODES; ++i) {
         first.inside[i] -= slack_of(s, i);
         last.inside[i] -= slack_of(s, i);
         if (last.inside[i] < 0 || may_dip(&first, &last, i, SHALLOW)) return 1;
     }
-    return goes_on && leaving_at(s, b) >= 0;
+    return leaving_at(laws, s, b, beyond) >= 0;
 }
 
 /* Whether no relation leaves its mode in a whole step by bounds on its polynomials, made so
@@ -167,14 +174,14 @@ static inline bool inside_again(LookAt *look, void *motion, double touch, double
 }
 
 /* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. At
- * that time, relations leave by rounding only where the motion goes on as it is. */
+ * that time, relations leave by rounding as the motion goes on. */
 static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh, void *motion,
-                                    const Switching *s, double begin, Place before, double end,
-                                    bool goes_on, Crossing *found) {
+                                    const Laws *laws, const Switching *s, double begin,
+                                    Place before, double end, Beyond beyond, Crossing *found) {
     Place place;
     for (int touches = 0; touches < PLACES; ++touches) {
         int relation = crossing_between(look, stays, motion, before, end, &place);
-        if (relation < 0 && goes_on) relation = leaving_at(s, &place);
+        if (relation < 0) relation = leaving_at(laws, s, &place, beyond);
         if (relation < 0) break;
         *found = (Crossing){place.t, relation, place.t};
         const Located how = locate(fresh, motion, s, begin, end, found);
