@@ -148,6 +148,12 @@ double event_before(const Instance *self, double end) {
     return is_at_end(self, end) ? end : next_event(self);
 }
 
+double end_if_only_rounding(const Instance *self, double time, double end) {
+    const Switching *s = &self->state.switching;
+    const double rounding = located(s, end) * time_scale(s, end);
+    return time < end && end - time <= rounding ? end : time;
+}
+
 bool run_stopped(const Instance *self) {
     return self->state.switching.stopped > 0;
 }

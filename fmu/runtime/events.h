@@ -27,6 +27,10 @@ static double end_with_event(const Instance *self, double end);
    there it happens again with the inputs that the importer sets. */
 static double event_before(const Instance *self, double end);
 
+/* The time of a crossing, or the end of a step of co-simulation if only rounding is between them:
+   there it happens again with the inputs that the importer sets. */
+static double end_if_only_rounding(const Instance *self, double time, double end);
+
 static bool run_stopped(const Instance *self);
 
 /* In event mode, until its first update, relations of time have the values that they have at the

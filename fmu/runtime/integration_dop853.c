@@ -351,6 +351,7 @@ bool integrate_to(Instance *self, double end) {
 #if HAS_EVENTS
         end = end_with_event(self, end);
         if (memory->crossing > 0 && memory->since <= end) end = fmax(end, memory->until);
+        if (memory->crossing > 0) memory->until = end_if_only_rounding(self, memory->until, end);
         const int how = memory->until <= end ? pass_event(&stepper, end, ahead) : WENT_ON;
         if (how == FAILED) return false;
         if (how == WAITS) return true;

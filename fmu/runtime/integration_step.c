@@ -248,6 +248,7 @@ bool integrate_to(Instance *self, double end) {
                 self->state = before;
                 return false;
             }
+            if (relation >= 0) move_inputs(self, end_if_only_rounding(self, *time, end));
             look_at_limits(self, &before, stages);
             length = fmin(length * LONGER, LARGEST_STEP);
             if (*time < end && !pass_midway(self, &end)) return false;
