@@ -229,7 +229,7 @@ void remember_instant(Instance *self) {
 }
 
 void keep_instant(Instance *self) {
-    if (self->state.before.known == 1) self->state.before.known = 0;
+    if (self->state.before.known != 2) self->state.before.known = 0;
 }
 
 /* Undo the event at a communication point if the importer has set other inputs there since: it
@@ -239,13 +239,28 @@ static bool undo_instant(Instance *self) {
     const Before *before = &state->before;
     const double *inputs = state->values + FIRST_INPUT;
     if (before->known == 0 || before->time != state->values[TIME] ||
-        memcmp(before->inputs, inputs, (NU - MODES) * sizeof *inputs) == 0)
+        (before->known == 1 && memcmp(before->inputs, inputs, (NU - MODES) * sizeof *inputs) == 0))
         return false;
     state->switching = before->switching;
     memcpy(state->values + FIRST_STATE, before->x, NX * sizeof *before->x);
     memcpy(state->values + FIRST_MODE, before->modes, MODES * sizeof *before->modes);
     state->stale |= AFTER_START;
     return true;
+}
+
+void redo_instant(Instance *self) {
+    State *state = &self->state;
+    const State before = *state;
+    const uint32_t logged = self->categories;
+    Outcome outcome;
+    if (!undo_instant(self)) return;
+    state->before.known = -1;
+    self->categories = 0; /* the next step tells */
+    const bool well = handle_instant(self, -1, &outcome) == OK;
+    self->categories = logged;
+    if (!well) *state = before;
+    state->memory = before.memory;
+    state->before.known = well ? 3 : before.before.known;
 }
 
 /* Leave what is due at the start of a step to the importer, unless it changes nothing. */

@@ -41,6 +41,9 @@ static void leave_instant(Instance *self);
 /* Keep what was before an event at a communication point, as other inputs may be set there. */
 static void remember_instant(Instance *self);
 
+/* That event happens again, with inputs that have been set since, as it will in the next step. */
+static void redo_instant(Instance *self);
+
 /* That event does not happen again: a state has been set after it. */
 static void keep_instant(Instance *self);
 

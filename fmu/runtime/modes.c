@@ -89,11 +89,12 @@ void take_sides(Instance *self) {
     const Laws laws = laws_of(self);
     const Point at = present(self);
     double motion[MOST_INPUT_ORDER][ROOM(NU)], *modes = state->values + FIRST_MODE;
+    memcpy(motion, state->motion, sizeof motion);
+    if (state->motion_spent) memset(state->motion, 0, sizeof motion);
+    redo_instant(self);
     aside->known = 1;
     aside->switching = state->switching;
     memcpy(aside->modes, modes, MODES * sizeof *modes);
-    memcpy(motion, state->motion, sizeof motion);
-    if (state->motion_spent) memset(state->motion, 0, sizeof motion);
     const Ending found = settle_by_value(&laws, &state->switching, &at);
     memcpy(state->motion, motion, sizeof motion);
     if (found.reason != GOES_ON) leave_sides(self); /* the next step tells */

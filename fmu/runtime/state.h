@@ -72,7 +72,8 @@ typedef struct {
 #if HAS_EVENTS
 /* The instance before an event at a communication point; all of it doubles. */
 typedef struct {
-    double known; /* 1: there was one; -1: it is happening again; 2: in event mode, only modes */
+    double known; /* 1: there was one; 3: it has happened again; -1: it does so; 2: in event mode,
+                     only modes */
     double time, x[ROOM(NX)], modes[ROOM(MODES)], inputs[ROOM(NU)];
     Switching switching;
 } Before;

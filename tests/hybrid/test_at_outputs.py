@@ -254,6 +254,7 @@ def driven(kind):
     return model.freeze()
 
 
+TIMES = [0, 0.5, 0.5, 1, 1, 2]
 KINKS = cosim.InputSeries(("u",), [0, 0.5, 1, 2], [[0], [0.5], [0], [-2]])
 STEPS = cosim.InputSeries(("u",), [0, 0.5, 0.5, 1, 2], [[0], [1], [0], [1], [1]])
 MOVING = pytest.mark.parametrize("drive", [{"u": "t"}, KINKS, STEPS], ids=["t", "kinks", "steps"])
@@ -284,3 +285,26 @@ def test_events_at_communication_points_stay_there_while_inputs_move(fmi, solver
         cosim.export_fmu(driven(kind), path, fmi=fmi, solver=solver)
     run = cosim.simulate_fmu(path, interface="CoSimulation", inputs=drive)
     assert_inputs_move_no_event_off_its_row(run)
+
+
+@pytest.mark.parametrize("other", [0, 1], ids=["others-rest", "others-move"])
+@pytest.mark.parametrize("solver", ["dop853", "rk4"])
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_input_that_jumps_where_a_state_reaches_a_boundary_turns_it(fmi, solver, other):
+    """The event happened before the jump, and was counted even where the state turned."""
+    path = FOLDER / f"turned_{fmi}_{solver}.fmu"
+    if not path.exists():
+        model = cosim.Model("turned", stop_time=2.0, output_interval=0.25)
+        u, w = (model.input(name, "1", 0.0, name) for name in "uw")
+        x, y = (model.state(name, "1", 0.0, name) for name in "xy")
+        n = model.discrete("n", "1", 0.0, "count")
+        model.derivative(x, u)
+        model.derivative(y, w)
+        model.when(x >= 0.5, {n: n + 1}, name="half")
+        cosim.export_fmu(model.freeze(), path, fmi=fmi, solver=solver)
+    for after, time in ((-1, 1.5), (2, 0.5)):  # the slope between 0.5 s and 1 s
+        slopes = [1, 1, after, after, 1, 1]
+        rows = [[slope, other * t] for t, slope in zip(TIMES, slopes, strict=True)]
+        drive = cosim.InputSeries(("u", "w"), TIMES, rows)
+        run = cosim.simulate_fmu(path, interface="CoSimulation", inputs=drive)
+        np.testing.assert_array_equal(run["n"], run.time >= time)
