@@ -308,3 +308,17 @@ def test_an_input_that_jumps_where_a_state_reaches_a_boundary_turns_it(fmi, solv
         drive = cosim.InputSeries(("u", "w"), TIMES, rows)
         run = cosim.simulate_fmu(path, interface="CoSimulation", inputs=drive)
         np.testing.assert_array_equal(run["n"], run.time >= time)
+
+
+@pytest.mark.parametrize("method", ["iterated", "jacobi", "gauss_seidel", "extrapolated"])
+@pytest.mark.parametrize("lacks", ["no event mode", "no rollback", "no rollback, no event mode"])
+def test_events_of_parts_without_abilities_stay_at_their_rows(lacks, method):
+    """The last of four was lost, and the others came after their rows."""
+    source = cosim.Model("source", stop_time=2.0, output_interval=0.25)
+    x = source.state("x", "1", 0.0, "ramp")
+    source.derivative(x, 1.0)
+    source.output("y", "1", 1 * x, "ramp")
+    parts = {"teeth": driven("sawtooth"), "source": source.freeze()}
+    system = cosim.couple(parts, {"teeth.u": "source.y"}, abilities={"teeth": lacks})
+    run = system.simulate(method=method, macro_step=0.25)
+    np.testing.assert_array_equal(run["teeth.n"], run.time // 0.5)
