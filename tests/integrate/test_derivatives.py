@@ -258,3 +258,26 @@ def test_factory_makes_functions_of_the_derivatives(solver, compiled):
     seeds[:, -1] = 1.0, 2.0
     back = run.factory("f", ["x0", "p", "adj:xf"], ["adj:p"])(**given, adj_xf=seeds)
     assert float(back["adj_p"]) == pytest.approx(exact @ [1.0, 2.0], abs=6e-7)
+
+
+def hessian_of_the_end(solver, compiled):
+    """Return d2x(1)/dk2 of x'' = -k x at k = 4 from x = 1 at rest."""
+    x, k = ca.SX.sym("x", 2), ca.SX.sym("k")
+    system = {"x": x, "p": k, "ode": ca.vertcat(x[1], -k * x[0])}
+    dae = cosim.from_casadi(system, start_values={"x": [1, 0], "k": 4})
+    run = cosim.integrator(dae, [0, 1], solver=solver, compiled=compiled)
+    p = ca.MX.sym("p")
+    return float(ca.Function("h", [p], [ca.hessian(run(x0=[1, 0], p=p)["xf"][0, 1], p)[0]])(4))
+
+
+@pytest.mark.parametrize("solver", ["cvodes", "idas", "erk", "rosenbrock", "rk4", "ode8"])
+def test_interpreted_runs_have_second_derivatives(solver):
+    # of cos(sqrt(k)): (sin(s) / s - cos(s)) / (4 k) with s = 2
+    assert hessian_of_the_end(solver, False) == pytest.approx(
+        (np.sin(2) / 2 - np.cos(2)) / 16, rel=1e-4
+    )
+
+
+def test_missing_second_derivatives_name_the_remedy():
+    with pytest.raises(RuntimeError, match="hessian_approximation_to_limited_memory"):
+        hessian_of_the_end("dop853", True)

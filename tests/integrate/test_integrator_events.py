@@ -251,3 +251,10 @@ def test_factory_makes_the_jacobian_of_a_model_with_events():
     found = run.factory("f", ["x0", "p"], ["jac:xf:p"])(x0=[1.0, 0.0], p=[9.81, 0.7])
     exact = after_one_impact().factory("f", ["i0", "i1"], ["jac:o0:i1"])([1.0, 0.0], [9.81, 0.7])
     np.testing.assert_allclose(found["jac_xf_p"][2, :], exact, rtol=1e-6)
+
+
+def test_second_derivatives_with_events_name_the_remedy():
+    run = cosim.integrator(ball(), [0.0, 1.0], solver="dop853")
+    x0 = ca.MX.sym("x0", 2)
+    with pytest.raises(RuntimeError, match="hessian_approximation_to_limited_memory"):
+        ca.hessian(run(x0=x0, p=[9.81, 0.7])["xf"][0, -1], x0)

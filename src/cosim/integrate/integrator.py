@@ -157,7 +157,7 @@ def _compiled(problem: Problem, solver: Solver, sizes: ca.DM) -> ca.Function:
     found = run(x0=_start(dae, x), z0=_guess(dae, z), p=own, **inputs)
     unknown = found["zf"]
     results = _results(dae, found["xf"][:, 1], unknown[:, 0], unknown[:, 1])
-    return ca.Function("interval", arguments, results)
+    return ca.Function(_LINEAR, arguments, results, _BY_JACOBIAN | {"enable_jacobian": False})
 
 
 def _interpreted(problem: Problem, solver: Solver, sizes: ca.DM) -> ca.Function:
@@ -209,6 +209,8 @@ _ARGUMENTS = ["x0", "z0", "p", "u"]
 # Options of a function whose derivatives all follow from its Jacobian
 _BY_JACOBIAN: dict[str, Any] = {"enable_forward": False, "enable_reverse": False}
 _BY_JACOBIAN |= {"never_inline": True, "jac_penalty": 0.0, "ad_weight_sp": -1.0}
+# CasADi ends its message on second derivatives by the name of the function that has none
+_LINEAR = "first_derivatives_so_set_hessian_approximation_to_limited_memory"
 _ALIVE = list[ca.Callback]()  # CasADi's expressions do not keep the Python part of a function
 _Shapes = Sequence[tuple[int, int]]
 _Compute = Callable[[Vector, Vector, Vector], Sequence[Vector]]
@@ -316,7 +318,9 @@ def _hybrid_function(
     given = [MX.sym(name, *shape) for name, shape in zip(_ARGUMENTS, inner, strict=True)]
     if derivatives:
         blocks = [(k * n, rows * columns) for k in (nx, nz) for rows, columns in inner]
-        jacobian = _Called("jac_integrator", [*inner, *outer], blocks, runs.slopes)
+        called = _Called(_LINEAR, [*inner, *outer], blocks, runs.slopes)
+        symbols = called.mx_in()
+        jacobian = ca.Function("jac_integrator", symbols, called.call(symbols))
     return _with_jacobian(given, _Called("run", inner, outer, runs.ends).call(given), jacobian)
 
 
@@ -350,8 +354,8 @@ def integrator(
         consistent ones. `u` has one column per time, (nu, n): each applies to the interval that
         ends at its time, so that the first has no effect. A single column applies to all
         intervals. Forward and reverse derivatives are those of the solution, to the tolerance of
-        the solver, or those of the steps if these are fixed. Second derivatives exist for fixed
-        steps with `compiled=False` only. Of a model with events, CasADi calls back to Python.
+        the solver, or those of the steps if these are fixed. Second derivatives exist with
+        `compiled=False`, without events. Of a model with events, CasADi calls back to Python.
 
     Raises:
         ParameterError: The grid is not increasing or not finite.
