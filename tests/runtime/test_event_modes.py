@@ -367,3 +367,17 @@ def test_each_of_many_limits_is_told_once(make):
         limits = range(int(12.5 * k) + 1, int(12.5 * (k + 1)) + 1)
         told = "fmi2DoStep: invalid from {:.12g} s: not fulfilled: x below {} dm"
         assert said == 2 * [told.format(d / 10, d) for d in limits]
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_friction_ends_where_an_importer_comes_a_little_early_to_its_end(make, sign):
+    """Root finders may end on the near side of an indicator's zero, and find it there again."""
+    fmu = make("stuck", STUCK, 0).initialize()
+    update(fmu)
+    assert fmu.set(u=sign * 0.3, mu=0.3 * (1 - 0.7e-12)) == OK
+    (margin,) = fmu.get("event_indicator_1")
+    assert 0 < margin < 1e-12
+    update(fmu)
+    assert fmu("EnterContinuousTimeMode") == OK
+    assert fmu.set(u=sign * 0.4) == OK
+    assert fmu.get("der(v)") == pytest.approx([sign * 0.1], abs=1e-9)

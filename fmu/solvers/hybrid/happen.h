@@ -153,7 +153,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
             continue; /* it has just been released */
         } else if (s->state[i] == SLIDES) {
             const bool moved = is_moved(laws, s, &seen, i);
-            if (!moved && i != crossing && inside[i] > 0) continue;
+            if (!moved && i != crossing && inside[i] > LEAVING / 2) continue;
             s->state[i] = FREE;
             modes[i] = (moved ? seen.arguments[i] : modes[i]) > 0 ? 1 : -1;
             zero[i] = decided[i] = !moved;
