@@ -152,3 +152,24 @@ def test_linear_equations_of_the_bicycle_are_the_published_ones():
         assert text.partition("=")[2] == "".join(terms).removeprefix("+")
     assert re.fullmatch(r"/d_θ˙Rdt=0\.1138\*Δrear_wheel_torque", found[1])  # no rounding errors
     assert found[3] == "_slip1=0"
+
+
+def test_events_have_their_conditions_and_new_values():
+    model = Model("ball", stop_time=1.0)
+    h, v = (model.state(name, "1", 0.5, "state") for name in "hv")
+    n = model.discrete("n", "1", 0, "number")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.when(h < 0, {v: -0.7 * v, n: n + 1}, name="impact")
+    model.every(0.1, {n: 0})
+    model.stop(h > 2, "too high")
+    found = formulas(model.freeze())
+    assert [letters(line) for line in found.events] == [
+        "impact: h&lt;0",
+        "v\u2190(-0.7)*v",
+        "n\u2190n+1",
+        "every 0.1 s: floor(/time0.1)",
+        "n\u21900",
+        "stop: 2&lt;h",
+    ]
+    assert found.outputs == ()

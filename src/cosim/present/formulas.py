@@ -22,11 +22,13 @@ _WIDEST = 24  # names and numbers of a part of a line
 _DIGITS = 4  # of numbers that were computed
 _ROUNDING, _ZERO_RATE = 1e-9, 1e-12  # parts of a sum that are left out: of it, in nominal values
 _OPERATIONS = {getattr(ca, n): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
-_TIMES = '<mo>\u2062</mo><mspace width=".17em"/>'
+_THIN = '<mspace width=".17em"/>'
+_TIMES = f"<mo>\u2062</mo>{_THIN}"
 _EQUAL, _MINUS, _ZERO = "<mo>=</mo>", "<mo>\u2212</mo>", "<mn>0</mn>"
 _INFIX = {"add": ("<mo>+</mo>", 1), "sub": (_MINUS, 1), "mul": (_TIMES, 2)}
 _INFIX |= {"lt": ("<mo>&lt;</mo>", 0), "le": ("<mo>≤</mo>", 0), "eq": (_EQUAL, 0)}
 _INFIX |= {"ne": ("<mo>≠</mo>", 0), "and": ("<mo>∧</mo>", 0), "or": ("<mo>\u2228</mo>", 0)}
+_INDENT, _BECOMES = '<mspace width="2em"/>', "<mo>\u2190</mo>"
 _ATOM = 9  # precedence of what needs no parentheses
 
 
@@ -37,12 +39,14 @@ class Formulas:
     Attributes:
         equations: Differential and algebraic equations.
         outputs: Outputs and validity conditions.
+        events: What happens, line by line: name and condition, and new values of states.
         named: Meanings of the names c_i.
         large: Names of the states and outputs whose equations are too large to be printed.
     """
 
     equations: tuple[str, ...]
     outputs: tuple[str, ...]
+    events: tuple[str, ...]
     named: tuple[str, ...]
     large: tuple[str, ...]
 
@@ -57,7 +61,7 @@ class _Row:
 
 
 def formulas(dae: Dae) -> Formulas:
-    """Return the equations, the outputs and the validity conditions, 0 < margin.
+    """Return the equations, the outputs, the validity conditions, 0 < margin, and the events.
 
     The smallest ones are printed in full, in about 100 lines. For a larger one, the formula
     shows its arguments and its number of operations.
@@ -70,6 +74,11 @@ def formulas(dae: Dae) -> Formulas:
     equations = len(rows)
     rows += [_Row(symbol(v.name) + _EQUAL, value, v.name) for v, value in outputs]
     rows += [_Row(f"{_ZERO}<mo>&lt;</mo>", margin) for margin, _ in dae.limits]
+    continuous = len(rows)
+    for event in dae.events:
+        rows.append(_Row(f"<mtext>{html.escape(event.name)}:\u2003</mtext>", event.condition))
+        new = zip(event.states, ca.vertsplit(event.values), strict=True)
+        rows += [_Row(_INDENT + symbol(dae.states[i].name) + _BECOMES, value) for i, value in new]
     readable = _readable(rows, equations, known)
     writer = _Writer([rows[i].right for i in readable], known)
     lines, large = list[str](), list[str]()
@@ -81,7 +90,13 @@ def formulas(dae: Dae) -> Formulas:
             lines.append(_line(row.left + _function(dae, row.right, len(large))))
     named = [_line(name + _EQUAL + text) for name, text in writer.named.values()]
     names = tuple(filter(None, large))
-    return Formulas(tuple(lines[:equations]), tuple(lines[equations:]), tuple(named), names)
+    return Formulas(
+        tuple(lines[:equations]),
+        tuple(lines[equations:continuous]),
+        tuple(lines[continuous:]),
+        tuple(named),
+        names,
+    )
 
 
 def linear_formulas(dae: Dae, linear: Linearization, names: Collection[str]) -> list[str]:
@@ -178,14 +193,16 @@ def _line(text: str) -> str:
 
 def _number(value: float, digits: int) -> str:
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
-    if not exponent:
-        return f"<mn>{mantissa}</mn>"
-    power = f"<msup><mn>10</mn><mn>{int(exponent)}</mn></msup>"
-    return f"<mrow><mn>{mantissa}</mn><mo>·</mo>{power}</mrow>"
+    text = f"<mn>{mantissa}</mn>"
+    if exponent:
+        power = f"<msup><mn>10</mn><mn>{int(exponent)}</mn></msup>"
+        text = f"<mrow>{text}<mo>·</mo>{power}</mrow>"
+    return text.replace("-", "\u2212")
 
 
 def _derivative(name: str) -> str:
-    return f"<mfrac><mrow><mi>d</mi>{symbol(name)}</mrow><mrow><mi>d</mi><mi>t</mi></mrow></mfrac>"
+    rate, time = f"<mi>d</mi>{_THIN}{symbol(name)}", "<mi>d</mi><mi>t</mi>"
+    return f"<mfrac><mrow>{rate}</mrow><mrow>{time}</mrow></mfrac>"
 
 
 def symbol(name: str) -> str:

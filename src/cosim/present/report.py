@@ -140,6 +140,9 @@ def _equations(c: ReportContents) -> Iterable[str]:
     if found.outputs:
         yield "<h3>Outputs and validity conditions</h3>"
         yield _block(found.outputs)
+    if found.events:
+        yield "<h3>Events: conditions and new values</h3>"
+        yield _block(found.events)
     if linear:
         point = html.escape(linear.point)
         yield "<h3>Linear equations</h3>"
