@@ -30,6 +30,17 @@ def test_page_shows_validity_conditions_solver_and_tolerance():
     assert "relative tolerance is\n1e-07" in text
 
 
+def test_page_names_a_source_if_there_is_one(tmp_path):
+    assert "Source: Unit 7" in page(BAR)[1]
+    path = tmp_path / "fall.py"
+    path.write_text(
+        "import cosim\ndef build():\n    model = cosim.Model('fall')\n"
+        "    model.derivative(model.state('v', 'm/s', 0.0, 'speed'), -9.81)\n"
+        "    return model.freeze()\n"
+    )
+    assert "Source" not in page(f"{path}:build")[1]
+
+
 def test_page_shows_the_diagram():
     _, text, files = page(BAR)
     (source,) = re.findall('<img src="([^"]*)"', text)

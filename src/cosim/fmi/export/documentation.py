@@ -84,7 +84,7 @@ def documentation_page(plan: Plan, *, pictured: bool) -> str:
     return page.substitute(
         name=escape(dae.full_name),
         description=escape(dae.description),
-        source=escape(dae.source),
+        source=f"Source: {escape(dae.source)}. " if dae.source else "",
         solver=escape(plan.solver),
         tolerance=f"{plan.options.tolerance:g}",
         limits=html_list("The model is valid while", [meaning for _, meaning in dae.limits]),

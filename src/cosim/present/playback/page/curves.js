@@ -58,6 +58,7 @@ class Curves {
       stroke: colors[position % colors.length],
       dash: i ? [4 + 2 * i, 4] : position && this.results.length < 2 ? [10, 3 + 2 * position] : undefined, // equal ones show
       width: i ? 1 : 1.8,
+      pxAlign: 0, // slow curves would be stairs of pixels
       points: { show: time.length < 2 },
       value: (_, v) => (v === null ? "-" : `${shown(v)} ${unit}`),
     })));

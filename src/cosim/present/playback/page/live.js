@@ -153,7 +153,7 @@ class Settings {
     const value = this.chosen.has(setting.name) ? this.chosen.get(setting.name) : followed;
     const displayed = value * setting.factor + setting.offset;
     slider.value = displayed;
-    field.value = Number(displayed.toPrecision(6));
+    field.value = fitting(displayed);
     mark.classList.toggle("changed", this.chosen.has(setting.name));
   }
 

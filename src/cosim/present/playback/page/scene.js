@@ -224,6 +224,12 @@ class Actor {
 
 const shown = (number) => String(Number(Number(number).toPrecision(4)));
 
+/* A number in a field, with as many of its digits as there is room for. */
+function fitting(number) {
+  const plain = String(Number(number.toPrecision(6)));
+  return plain.length > 9 ? Number(number.toPrecision(4)).toExponential() : plain;
+}
+
 /* A time with three digits, s, from 10 s on with hundredths. */
 const moment = (t) => Number(Math.abs(t) < 10 ? t.toPrecision(3) : t.toFixed(2));
 
