@@ -517,3 +517,8 @@ def test_a_state_that_grows_only_between_samples_does_not_grow_again(master, tmp
     path = cosim.export_fmu(held(0.2, 15.0, 4.0), tmp_path / "held.fmu")
     run = cosim.simulate_fmu(path, interface="ModelExchange", master=master)
     assert "shrinks" not in (run.stats.get("note") or "")  # before: at 13.6 s
+
+
+def test_run_without_a_row_is_a_failure_and_no_crash():
+    with pytest.raises(cosim.errors.SolverError, match="stopped after the start"):
+        cosim.simulate("double_pendulum/multipliers", solver="rosenbrock", relative_tolerance=3e-14)

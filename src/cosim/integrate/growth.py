@@ -161,7 +161,7 @@ def growth_in(
         motion, tolerance, closer: The motion, and how it was found.
         go_on: Tells what events make of a deviation; None if there are none.
     """
-    if not any_grows(motion.dae):
+    if not any_grows(motion.dae) or not len(motion.time):
         return None
     path = _path(motion, _sizes(motion, tolerance))
     known = motion.counts.steps or 0, *tolerance.pair
