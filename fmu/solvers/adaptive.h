@@ -131,7 +131,8 @@ static inline int write_rows(Adaptive *self, bool crossed) {
         if (crossed && t == after) break;
         if (t < after) {
             if (grid->times + self->next >= self->step.looked) evaluate(&self->piece, t, column);
-            if (restore(self->problem, t, column) || !is_finite(column)) return NOT_FINITE;
+            if (!is_finite(column)) return NOT_FINITE;
+            if (restore(self->problem, t, column)) return NOT_PROJECTED;
         }
         if (write_column(self->problem, grid, self->next, t < after ? column : self->end,
                          self->course))
@@ -214,7 +215,8 @@ static inline int integrate_adaptive(Problem *problem, const Grid *grid, double 
         if (watch && !crossed) let_go(watch, self.after, self.end);
         self.after = crossing.time;
         if (watch) self.here = self.ahead;
-        if (write_rows(&self, crossed)) return NOT_FINITE;
+        const int written = write_rows(&self, crossed);
+        if (written) return written;
         if (!crossed) {
             move_on(&self);
             continue;

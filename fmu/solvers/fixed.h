@@ -78,9 +78,8 @@ static inline int integrate_fixed(Problem *self, const Grid *grid, double *x, Co
                 memcpy(made.x, x, sizeof made.x);
                 memcpy(k[0], made.slope, sizeof made.slope);
             }
-            if (step_of_method(self, t, h, watch != NULL, k, x) || restore(self, end, x) ||
-                !is_finite(x))
-                return NOT_FINITE;
+            if (step_of_method(self, t, h, watch != NULL, k, x) || !is_finite(x)) return NOT_FINITE;
+            if (restore(self, end, x)) return NOT_PROJECTED;
             ++self->steps;
             if (!watch) continue;
             made.quintic = (Quintic){.t = t,

@@ -15,6 +15,7 @@
 
 /* Codes 0 to 3 are those of CasADi's own integrators. */
 enum { SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, INCONSISTENT, NOT_FINITE, HALTED, EVENT, STIFF };
+enum { NOT_PROJECTED = STIFF + 1 };
 
 typedef struct {
     Equations *rhs;     /* (t, x, z guess, u, c) -> (dx/dt, z) */

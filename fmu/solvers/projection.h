@@ -28,7 +28,7 @@ static inline int project_state(Equations *project, const Work *work, double t, 
     work->res[0] = moved;
     work->res[1] = &change;
     for (int i = 0; i < MOST_CORRECTIONS; ++i) {
-        if (project(work->arg, work->res, work->iw, work->w, 0) || !isfinite(change)) return 1;
+        if (project(work->arg, work->res, work->iw, work->w, 0) || !is_finite(moved)) return 1;
         memcpy(x, moved, sizeof moved);
         if (change <= ROOT_OF_ROUNDING) return 0;
     }

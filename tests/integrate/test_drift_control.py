@@ -227,3 +227,37 @@ def test_invariant_of_too_many_rows_is_refused():
     x = model.state("x", "m", 0.0, "place")
     with pytest.raises(ValueError, match="2 rows for 1 states"):
         model.invariant("drift", x, ca.vertcat(x, x), "it stays")
+
+
+def tilted(planes=1):
+    """A particle on a great circle of the unit sphere, by invariants that move the same states."""
+    model = Model("tilted", stop_time=10.0)
+    start = {"x": 0.6, "y": 0.0, "z": 0.8}
+    place = ca.vertcat(*(model.state(name, "m", v, name) for name, v in start.items()))
+    normal = ca.DM([0.8, 0.0, -0.6])
+    model.derivative(place, ca.cross(normal, place))
+    model.invariant("sphere", place, ca.dot(place, place) - 1, "it stays on the sphere")
+    for k in range(planes):
+        skew = ca.dot(normal + place, place) - 1
+        model.invariant(f"plane_{k}", place, skew, "it stays in the plane")
+    return model.freeze()
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4"])
+def test_invariants_that_move_the_same_states_are_kept_at_once(solver):
+    dae = tilted()
+    steps = {"step_size": 0.1} if solver == "rk4" else {"relative_tolerance": 1e-3}
+    run = cosim.simulate(dae, solver=solver, drift_control="projection", **steps)
+    x, y, z = (run[name] for name in "xyz")
+    assert np.abs(x**2 + y**2 + z**2 - 1).max() < 1e-14
+    assert np.abs(0.8 * x - 0.6 * z).max() < 1e-14
+    found = np.array(projection_step(dae, 0)(0, [0.61, 0.02, 0.8], [], [])[0]).ravel()
+    flat = np.array([[1.22, 0.04, 1.6], [2.02, 0.04, 1.0]])  # slopes of both residuals
+    gap = [0.61**2 + 0.02**2 + 0.8**2 - 1, 0.61**2 + 0.02**2 + 0.8**2 + 0.008 - 1]
+    np.testing.assert_allclose(found - [0.61, 0.02, 0.8], -np.linalg.pinv(flat) @ gap, atol=1e-15)
+
+
+@pytest.mark.parametrize("solver", ["dop853", "rk4"])
+def test_projection_that_does_not_converge_is_said(solver):
+    with pytest.raises(cosim.errors.SolverError, match=r"no projection|step size too small"):
+        cosim.simulate(tilted(planes=2), solver=solver, drift_control="projection")

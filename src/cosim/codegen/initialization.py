@@ -1,6 +1,6 @@
 """Initial values, algebraic unknowns, and the projection of states onto constraints."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import log
 from typing import Any
 
@@ -9,6 +9,7 @@ from casadi import MX, SX
 
 from casadi_models.dae import Dae, StartRule
 from casadi_models.dae.expressions import linear_solution
+from casadi_models.dae.invariants import Invariant
 from casadi_models.dae.relations import term_sizes
 from cosim.codegen.functions import CALL, Laws, symbols_like
 from cosim.memo import cached_per_thread
@@ -144,11 +145,31 @@ def _newton_root(
     return root - step, ca.norm_inf(step / (least + ca.fabs(root)))
 
 
+def _joined(invariants: Iterable[Invariant]) -> list[Invariant]:
+    """Return invariants that have no states in common, in the order of the first of each."""
+    found = list[Invariant]()
+    for one in invariants:
+        parts = [other for other in found if {*other.states} & {*one.states}]
+        first = found.index(parts[0]) if parts else len(found)
+        parts.append(one)
+        sizes = {
+            i: size
+            for part in reversed(parts)
+            for i, size in zip(part.states, ca.vertsplit(part.sizes), strict=True)
+        }
+        residual = ca.vertcat(*(part.residual for part in parts))
+        joined = Invariant(tuple(sizes), residual, ca.vertcat(*sizes.values()), one.meaning)
+        apart = [other for other in found if other not in parts]
+        found = [*apart[:first], joined, *apart[first:]]
+    return found
+
+
 def projection_step(dae: Dae, constants: int) -> ca.Function:
     """Return `project(t, x, u, c) -> (x, change)`, one Newton step for each invariant in turn.
 
     Each step is the least-squares change of the invariant's states, scaled by its sizes; `change`
-    is the largest scaled change. An invariant is evaluated at the result of the previous step.
+    is the largest scaled change. An invariant is evaluated at the result of the previous step;
+    those that move the same states are one, as each would undo what another has done.
 
     Args:
         constants: Length of c, whose first elements are the parameters.
@@ -157,7 +178,7 @@ def projection_step(dae: Dae, constants: int) -> ca.Function:
     t, u = dae.t, dae.u
     p = c[: dae.p.numel()]
     here, change = SX(x), SX(0)
-    for invariant in dae.invariants:
+    for invariant in _joined(dae.invariants):
         rows = list(invariant.states)
         slopes = ca.jacobian(invariant.residual, dae.x[rows])
         law = law_of_knowns(dae, "law", invariant.residual, slopes, invariant.sizes)

@@ -240,4 +240,5 @@ CAUSES = {  # by code of fmu/solvers
     4: "a state is not finite",
     5: "halted",
     7: "stiff",
+    8: "no projection onto the invariants",
 }
