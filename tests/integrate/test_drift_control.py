@@ -261,3 +261,15 @@ def test_invariants_that_move_the_same_states_are_kept_at_once(solver):
 def test_projection_that_does_not_converge_is_said(solver):
     with pytest.raises(cosim.errors.SolverError, match=r"no projection|step size too small"):
         cosim.simulate(tilted(planes=2), solver=solver, drift_control="projection")
+
+
+def test_reduced_model_keeps_what_only_an_invariant_needs():
+    model = Model("fall", stop_time=2.0)
+    h, v = model.state("h", "m", 10.0, "height"), model.state("v", "m/s", 1.0, "speed")
+    level = model.parameter("level", "m2/s2", 98.6, "energy per mass at the start")
+    model.derivative(h, v)
+    model.derivative(v, -9.81)
+    model.invariant("loss", v, v**2 / 2 + 9.81 * h - level, "energy stays")
+    small = cosim.reduce(model.freeze(), ["h"])
+    assert [p.name for p in small.parameters] == ["level"]
+    assert len(small.invariants) == 1  # before: 0, and no parameter

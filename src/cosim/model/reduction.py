@@ -189,12 +189,14 @@ def reduce(dae: Dae | str, outputs: Sequence[str], *, freeze: Collection[str] = 
     rules = [rule for rule in frozen.start_rules if set(rule.states) <= set(states)]
     events = [_remaining_event(event, states) for event in frozen.events]
     events = [event for event in events if event.message or event.states]
+    invariants = tuple(_remaining_invariants(frozen, states))
     needed = ca.vertcat(
         frozen.ode[states],
         frozen.alg[equations],
         observed,
         *(rule.expression for rule in rules),
         *(law for event in events for law in (event.condition, event.values)),
+        *(law for invariant in invariants for law in (invariant.residual, invariant.sizes)),
     )
     inputs = used(needed, frozen.u)
     parameters = used(needed, frozen.p)
@@ -223,7 +225,7 @@ def reduce(dae: Dae | str, outputs: Sequence[str], *, freeze: Collection[str] = 
         observed=outputs,
         x_start=tuple(frozen.x_start[i] for i in states),
         drawing=frozen.drawing.with_numbers({v.name: v.start or 0.0 for v in frozen.parameters}),
-        invariants=tuple(_remaining_invariants(frozen, states, inputs, parameters)),
+        invariants=invariants,
         events=tuple(events),
         closing=frozen.closing
         and replace(frozen.closing, residual=frozen.closing.residual[equations]),
@@ -258,15 +260,11 @@ def _computable(small: Dae, expression: SX) -> bool:
     return symbols(expression).keys() <= symbols(ca.vertcat(*small.arguments)).keys()
 
 
-def _remaining_invariants(
-    dae: Dae, states: Sequence[int], inputs: Sequence[int], parameters: Sequence[int]
-) -> Iterator[Invariant]:
-    """Yield the invariants all of whose variables remain."""
+def _remaining_invariants(dae: Dae, states: Sequence[int]) -> Iterator[Invariant]:
+    """Yield the invariants all of whose states remain."""
     for invariant in dae.invariants:
         everything = ca.vertcat(invariant.residual, invariant.sizes)
-        needed = {*invariant.states, *used(everything, dae.x)}
-        remaining = ((dae.u, inputs), (dae.p, parameters))
-        if needed <= {*states} and all({*used(everything, v)} <= {*rows} for v, rows in remaining):
+        if {*invariant.states, *used(everything, dae.x)} <= {*states}:
             yield replace(invariant, states=tuple(states.index(i) for i in invariant.states))
 
 
