@@ -100,3 +100,22 @@ def test_iteration_that_cannot_take_a_step_back_is_an_error_that_says_so(tmp_pat
         SolverError, match=r"the iteration of the input .* diverges after .* give macro"
     ):
         system.simulate(accuracy=1e-2)
+
+
+def test_events_that_no_step_can_end_at_are_in_the_estimate():
+    """A third part cannot go back; with estimate 0.097, the error was 0.66."""
+    numbers, limits, start, switches = CASES["from a limit"]
+    lag = cosim.Model("lag", stop_time=3.0)
+    y = lag.state("y", "1", 0.0, "output")
+    lag.derivative(y, 10 * (lag.input("u", "1", 0.0, "input") - y))
+    names = ("room.heat", "room.loss", "room.rate", "relay.high", "relay.low", "room.T", "room.W")
+    values = dict(zip(names, (*numbers, *limits, *start), strict=True))
+    system = cosim.couple(
+        {"room": room(), "relay": relay(), "lag": lag.freeze()},
+        {"relay.s": "room.W", "room.q": "relay.q", "lag.u": "room.T"},
+        start_values=values,
+        abilities={"lag": "no rollback"},
+    )
+    run = system.simulate(stop_time=3.0, accuracy=0.1, outputs=["room.W", "lag.y"])
+    error = np.abs(run["room.W"] - walls(numbers, start, switches, run.time)).max()
+    assert error <= run.stats["error_estimate"] <= 0.1

@@ -226,14 +226,15 @@ class CoSimulation:
             unseen = estimate.rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
             if last is not None:
                 change = estimate.changes(run, last, jumps | jumps_before) / sizes
-                most = float(change.max())
-                estimate.reject_noise(run, fixed, accuracy, before, most, unseen)
+                most, of = float(change.max()), run.columns[int(change.argmax())].name
                 least = self._least(ordered=smooth)
+                # events that are found by chance may differ more with any tolerance
+                known = 0.0 if least == estimate.BY_CHANCE else before
+                estimate.reject_noise(run, fixed, accuracy, known, most, of, unseen)
                 total = estimate.estimated_error(
                     most, before, ratio, accuracy, of_parts, least=least
                 )
                 total += unseen
-                of = run.columns[int(change.argmax())].name
                 found = {"accuracy": accuracy, "error_estimate": total, "error_estimate_of": of}
                 run = replace(run, stats={**run.stats, **found, "all_macro_steps": steps})
                 if total <= accuracy:
@@ -255,8 +256,12 @@ class CoSimulation:
 
     def _least(self, *, ordered: bool) -> float:
         """Return how much of the error a smaller tolerance leaves at least, after a run."""
-        switched = [p for p in self.parts.values() if p.instance.logged.events]
-        if any(p.holds_inputs for p in self.parts.values() if p.event_mode or p in switched):
+        parts = self.parts.values()
+        switched = [p for p in parts if p.instance.logged.events]
+        if any(p.holds_inputs for p in parts if p.event_mode or p in switched):
+            return estimate.BY_CHANCE
+        ending = any(p.event_mode and p.description.numberOfEventIndicators for p in parts)
+        if ending and not all(p.rolls_back for p in parts):  # no step can end earlier
             return estimate.BY_CHANCE
         return 0.0 if ordered and not switched else estimate.UNKNOWN
 

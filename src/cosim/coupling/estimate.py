@@ -71,6 +71,7 @@ def reject_noise(
     accuracy: float,
     before: float,
     change: float,
+    of: str,
     noise: float,
 ) -> None:
     """Raise an error if a run differs from that before by more than that from its own before.
@@ -80,6 +81,7 @@ def reject_noise(
         parts: Those that cannot restore a state.
         accuracy: The largest error that is allowed.
         before, change: The two differences, in nominal values; 0 if there is none.
+        of: The variable that has the second one.
         noise: Error by rounding and noise, which no difference shows, in nominal values.
 
     Raises:
@@ -91,7 +93,7 @@ def reject_noise(
         )
         raise unreached(run, accuracy, f"{why} in {run.stats['macro_steps']} macro steps")
     if parts and accuracy < change > 2 * before > 0:
-        why = f"runs differ by {before:.2g}, and with a smaller tolerance by {change:.2g}"
+        why = f"runs differ by {before:.2g}, and with a smaller tolerance by {change:.2g} ({of})"
         which = f"{', '.join(parts)}, which cannot restore a state, may round results"
         raise unreached(run, accuracy, f"{why}: {which}")
 
