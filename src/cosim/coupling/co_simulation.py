@@ -226,7 +226,8 @@ class CoSimulation:
             unseen = estimate.rounding_of(run, sizes, accuracy) + noise * run.stats["macro_steps"]
             if last is not None:
                 change = estimate.changes(run, last, jumps | jumps_before) / sizes
-                most, of = float(change.max()), run.columns[int(change.argmax())].name
+                most = float(change.max())
+                of = run.columns[int(change.argmax())].name
                 least = self._least(ordered=smooth)
                 # events that are found by chance may differ more with any tolerance
                 known = 0.0 if least == estimate.BY_CHANCE else before

@@ -28,7 +28,8 @@ _EQUAL, _MINUS, _ZERO = "<mo>=</mo>", "<mo>\u2212</mo>", "<mn>0</mn>"
 _INFIX = {"add": ("<mo>+</mo>", 1), "sub": (_MINUS, 1), "mul": (_TIMES, 2)}
 _INFIX |= {"lt": ("<mo>&lt;</mo>", 0), "le": ("<mo>≤</mo>", 0), "eq": (_EQUAL, 0)}
 _INFIX |= {"ne": ("<mo>≠</mo>", 0), "and": ("<mo>∧</mo>", 0), "or": ("<mo>\u2228</mo>", 0)}
-_INDENT, _BECOMES = '<mspace width="2em"/>', "<mo>\u2190</mo>"
+_INDENT = '<mspace width="2em"/>'
+_BECOMES = "<mo>\u2190</mo>"
 _ATOM = 9  # precedence of what needs no parentheses
 
 
@@ -201,8 +202,8 @@ def _number(value: float, digits: int) -> str:
 
 
 def _derivative(name: str) -> str:
-    rate, time = f"<mi>d</mi>{_THIN}{symbol(name)}", "<mi>d</mi><mi>t</mi>"
-    return f"<mfrac><mrow>{rate}</mrow><mrow>{time}</mrow></mfrac>"
+    change = f"<mrow><mi>d</mi>{_THIN}{symbol(name)}</mrow>"
+    return f"<mfrac>{change}<mrow><mi>d</mi><mi>t</mi></mrow></mfrac>"
 
 
 def symbol(name: str) -> str:
