@@ -18,6 +18,7 @@ from cosim.codegen.casadi_patches import REPORT
 from cosim.model.inputs import InputSeries
 from cosim.text import Ending, EndKind
 
+MOST_STEPS = 100_000  # from one output time to the next
 _ROOM_FOR_EVENTS = 100_000  # bytes, of the events that one call of a solver goes through
 
 
@@ -58,6 +59,8 @@ class Problem:
         system: The frozen equations, of which `dae` is a part, if the engine is to end a run where
             a relation leaves its mode; engines that cannot do so ignore it.
         most_instants: Instants with events after which a run ends.
+        most_steps: Steps from one output time to the next after which an engine that does not end
+            at events fails.
     """
 
     dae: Dae
@@ -72,6 +75,7 @@ class Problem:
     in_own_time: bool = False
     system: Hybrid | None = None
     most_instants: float = inf
+    most_steps: int = MOST_STEPS
 
     @property
     def grid(self) -> Vector:

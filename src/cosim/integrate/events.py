@@ -31,17 +31,13 @@ from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
 from cosim.integrate.places import finer_grid
 from cosim.integrate.saltation import crossed, slid_derivatives
+from cosim.integrate.window import MANY_STEPS, Window
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values, own_sizes
 from cosim.text import Ending, EndKind, moment
 
-_FIRST_WINDOW = 32  # grid intervals that are integrated at once; doubled after each
-_LEAST_WINDOW, _LEAST_WATCHED = 31, 1000  # after an event; if the solver ends at the next one
-_SOON = 1.25  # times the rows between events: within which the next one is looked for
-_FEW_STEPS = 100  # take as long as all else of a piece; rows with more steps are fewer in it
-_STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 _MOST_INSTANTS = 2_000_000  # of a run, which take about 6 GB
 
 
@@ -172,17 +168,14 @@ class _Course:
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
         self.next = 0  # row of the grid to be written
-        self.event_row = 0  # the row after the last event that was located
-        self.stays = dict[bytes, int]()  # rows that the motion last was in these modes
         self.reached = list[Reached]()
         self.events = list[EventRecord]()
         self.instants = list[tuple[Instant, Instant]]()
         watches = not system.relations or (problem.compiled and solver.watches)
         # where an input rests is found from the states that the last event has left
         self.passes_time = watches and not (self.series and system.resting)
-        self.window = len(self.grid) if watches else _FIRST_WINDOW
-        self.least_window = _LEAST_WATCHED if watches else _LEAST_WINDOW
-        self.stop, self.slides, self.looks = "", False, 1  # looks per grid interval
+        self.window = Window(self.grid, looks=not watches and system.of_states)
+        self.stop, self.slides = "", False
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
         self.at = self._with_inputs(
@@ -282,11 +275,9 @@ class _Course:
         found = None if piece.reason == INTERRUPTED else located(piece)
         if found is not None:
             self._accept(piece, found.at.t)
-            passed, self.event_row = self.next - self.event_row, self.next
-            self.stays[self.at.modes.tobytes()] = passed
+            before = self.at.modes
             self._switch(found.at, found.first)
-            passed = self.stays.get(self.at.modes.tobytes(), passed)
-            self.window = max(self.least_window, int(_SOON * passed))
+            self.window.switch(self.at.t, before, self.at.modes)
             return Ending()
         if not piece.reason:
             self._arrive(piece, target)
@@ -295,7 +286,8 @@ class _Course:
         final = piece.reason == INTERRUPTED or piece.reason.kind is EndKind.STIFF
         if final or len(piece.times) < 2:
             return piece.reason
-        self.at, self.window = piece.at_end(), self.least_window
+        self.at = piece.at_end()
+        self.window.restart()
         return Ending()  # a fresh start may succeed
 
     def _arrive(self, piece: Piece, target: _Target) -> None:
@@ -303,7 +295,7 @@ class _Course:
         arrived = piece.at_end()
         self._accept(piece, arrived.t)
         piece.let_go()
-        self.window *= 2
+        self.window.widen()
         if target.has_other_inputs:
             self._switch(self._with_inputs(arrived))
         elif arrived.t == self._next_due():
@@ -320,9 +312,7 @@ class _Course:
         ends = series.breaks if series else np.empty(0), self.pulses
         later = (times[times.searchsorted(self.at.t, "right") :] for times in ends)
         jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
-        window = min(self.window, _MOST_LOOKS // self.looks)
-        row = min(self.next + window, len(self.grid) - 1)
-        time = min(due, jump, pulse, float(self.grid[row]))
+        time = min(due, jump, pulse, self.window.end(self.at.t))
         return _Target(time, time == jump)
 
     def _piece_to(self, target: _Target, series: InputSeries | None) -> tuple[Piece, _Target]:
@@ -331,14 +321,19 @@ class _Course:
         rest = self._next_rest(at, series, target.time)
         left = None if self.kernel is None else self.kernel.switching.numbers.copy()
         while True:
+            if self.kernel is not None:  # an event has moved a threshold, or the piece was too long
+                self.kernel.switching.numbers[:] = left
             if rest <= target.time:
                 target = _Target(rest, has_other_inputs=True)
             rows = grid[self.next :][grid[self.next :] < target.time]
             piece = self._piece(np.array([at.t, *rows[rows > at.t], target.time]))
+            if self.window.is_refined(piece):
+                nearer = self.window.end(at.t)
+                target = target if target.time <= nearer else _Target(nearer, False)
+                continue
             rest = self._rest_after(piece.passed, series, target.time)
             if self.kernel is None or piece.reason == INTERRUPTED or rest >= target.time:
                 return piece, target
-            self.kernel.switching.numbers[:] = left  # an event has moved a threshold there
 
     def _next_due(self) -> float:
         """Return the next time event, s; where an input jumps or a row is, but for rounding."""
@@ -395,27 +390,19 @@ class _Course:
         own = sliding(self.system, self.at.sliding)
         self.slides |= bool(own.sliding)
         series = self._followed()
-        inputs, gaps = series and series.around(float(times[0])), np.diff(times)
+        inputs = series and series.around(float(times[0]))
         if inputs and not np.ptp(inputs.values, axis=0).any():
             inputs = None  # it rests: code that is compiled without it serves all values
         problem = replace(self.problem, dae=own.dae, inputs=inputs)
-        while True:
-            inner = times[:-1, None] + gaps[:, None] * np.arange(1, self.looks) / self.looks
-            looks = np.sort(np.append(times, inner[gaps > gaps.max() / self.looks]))
-            own_problem = replace(problem, times=looks.tobytes())
-            if self.closer and self.at.t < self.closer.until:
-                own_problem = _with_shares(own_problem, self.closer)
-            start = self.at, self.began, self.values.p, self.kernel
-            piece = Piece(self.system, own, own_problem, self.solver, *start)
-            self.reached.append(piece.reached)
-            steps = (piece.reached.counts.steps or 0) / len(looks)
-            enough = steps <= _STEPS_PER_LOOK or piece.reached.watched or piece.reason
-            if not piece.reached.watched:
-                rows = _FEW_STEPS / max(steps * self.looks, 1.0)
-                self.least_window = int(np.clip(rows, 1, _LEAST_WINDOW))
-            if enough or not self.system.of_states:
-                return piece
-            self.looks = min(2 * int(steps * self.looks / _STEPS_PER_LOOK), _MOST_LOOKS)
+        if self.window.seeks:
+            problem = replace(problem, most_steps=MANY_STEPS)
+        if self.closer and self.at.t < self.closer.until:
+            problem = _with_shares(problem, self.closer)
+        problem = replace(problem, times=self.window.with_looks(times).tobytes())
+        known = self.at, self.began, self.values.p, self.kernel
+        piece = Piece(self.system, own, problem, self.solver, *known)
+        self.reached.append(piece.reached)
+        return piece
 
     def _pass(self, piece: Piece) -> None:
         """Record the events that the solver went through, and the rows before the last of them."""

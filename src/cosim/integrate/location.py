@@ -13,7 +13,7 @@ from cosim.arrays import Vector
 from cosim.codegen.functions import equations
 from cosim.errors import SolverError
 from cosim.integrate.call import INTERRUPTED, Reached
-from cosim.integrate.engine import Counts, Problem
+from cosim.integrate.engine import MOST_STEPS, Counts, Problem
 from cosim.integrate.kernel import Kernel, Rows, State
 from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_events, watch
 from cosim.integrate.nominal import InitialState, scaled_call
@@ -26,7 +26,7 @@ from cosim.text import Ending
 _INNER = np.linspace(0, 1, 10)[1:-1]  # places in a grid interval at which relations are looked at
 _CLOSE = 1e-5  # share of a fresh run within which the cubic to its end tells the state
 _SAME_INSTANT = 32  # units in the last place of a time
-_SAME_TIME = 1e-12  # of the span: too short a step
+SAME_TIME = 1e-12  # of the span: too short a step
 
 
 class Located(NamedTuple):
@@ -81,6 +81,7 @@ class Piece:
             z = np.concatenate((begin.z, begin.modes[list(own.sliding)]))
         watched = replace(problem, system=own)
         self.reached = self._run(watched, problem.grid, begin.x, z)
+        self.problem = replace(problem, most_steps=MOST_STEPS)  # a fresh start within takes more
         n = self.reached.states.shape[1]
         self.times = problem.grid[:n]
         if self.reached.crossing is not None:
@@ -241,7 +242,7 @@ class Piece:
         """Return states and unknowns at a time after the k-th one, or None where that fails."""
         times = np.array([self.times[k], t])
         rounding = _SAME_INSTANT * np.spacing(abs(times[0]))
-        if t - times[0] <= max(_SAME_TIME * min(1.0, self.span), rounding):  # too short a step
+        if t - times[0] <= max(SAME_TIME * min(1.0, self.span), rounding):  # too short a step
             return self.x[k] + (t - times[0]) * self.rates(k)[0], self.z[k]
         found = self._run(self.problem, times, self.x[k], self.z[k])
         if found.reason == INTERRUPTED:

@@ -17,12 +17,11 @@ from cosim.codegen.functions import equations
 from cosim.errors import CosimError, Interrupted, SolverError
 from cosim.host.progress import doing
 from cosim.integrate.call import INTERRUPTED, RunStats
-from cosim.integrate.engine import Counts, Problem
+from cosim.integrate.engine import MOST_STEPS, Counts, Problem
 from cosim.integrate.events import integrate
 from cosim.integrate.fallbacks import next_request
 from cosim.integrate.families.explicit import Dop853
 from cosim.integrate.families.fixed_step import FixedStep
-from cosim.integrate.families.plugin import MOST_STEPS
 from cosim.integrate.initial_values import consistent_values, input_values
 from cosim.integrate.limits import Again, first_left
 from cosim.integrate.modes import hybrid

@@ -49,7 +49,7 @@ class _CasadiSolver(AdaptiveSolver):
         settings = (points, 1 if problem.piecewise else points)
         largest = (problem.longest(self.max_step) or np.inf) / length
         span = (clock,) if problem.in_own_time else (start, length)
-        numbers = (*span, *self.tolerance.pair, largest, *settings)
+        numbers = (*span, *self.tolerance.pair, largest, problem.most_steps, *settings)
         extended = ca.vertcat(constants(p), *numbers, ca.DM(_unit_grid(grid)))
         known = ca.vertcat(p, clock)
         functions = EngineFunctions(run, ca.Function("parameters", [known], [extended]))
@@ -64,7 +64,7 @@ def _library(
     """Return the path of the compiled method for a model, and its constants by parameters."""
     function, constants = prepared(dae)
     s, x, z, u, c = symbols_of(function)
-    span = MX.sym("span", 5)  # start, length, relative and absolute tolerance, largest step
+    span = MX.sym("span", 6)  # start, length, tolerances, largest step, most steps
     t = span[0] + span[1] * s
     ode, alg = function(t, x, z, inputs_at(dae, inputs, t, u), c)
     known = ca.vertcat(c, span)
@@ -79,16 +79,17 @@ def _library(
         generator = ca.CodeGenerator("code", {"with_header": False})
         add_integrator(generator, run)
         first = c.numel() + 2
-        relative, absolute, largest = (f"arg[2][{first + i}]" for i in range(3))
+        relative, absolute, largest, most = (f"arg[2][{first + i}]" for i in range(4))
         code = patched(str(generator.dump()), "smallest_step")
         code = patched(code, "run_time_tolerances", relative=relative, absolute=absolute)
         code = patched(code, "largest_step", largest=largest)
+        code = patched(code, "most_steps", most=most)
         code = run_time_grid(watched(code), known.numel())
         for patch in method.own_patches:
             code = patched(code, patch)
         return f"{head}#define SETTINGS {_SETTINGS}\n{code}"
 
-    key = cache_key(f"generated-12 {method.name}", original, repr(sorted(COMMON.items())).encode())
+    key = cache_key(f"generated-13 {method.name}", original, repr(sorted(COMMON.items())).encode())
     return str(cached_library(key, generate, sources_beside(original))), constants
 
 

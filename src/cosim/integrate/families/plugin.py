@@ -13,11 +13,10 @@ from cosim.arrays import Vector
 from cosim.codegen.casadi_library import cache_key, external
 from cosim.codegen.functions import CALL, equations, inputs_at, is_large, symbols_of
 from cosim.codegen.initialization import algebraic_function
-from cosim.integrate.engine import Counts, Engine, EngineFunctions, Problem
+from cosim.integrate.engine import MOST_STEPS, Counts, Engine, EngineFunctions, Problem
 from cosim.memo import cached_per_thread
 from cosim.model.solver import AdaptiveSolver
 
-MOST_STEPS = 100_000  # from one output time to the next
 COMMON = {"show_eval_warnings": False, "max_num_steps": MOST_STEPS}  # options of every plugin
 _CLOSE = 1e-8  # s; CasADi's SUNDIALS interfaces pass output times within 1e-9 s of the present
 
@@ -36,7 +35,7 @@ def plugin_engine(
     grid = problem.grid
     unit = _time_unit(grid)
     system = _system(replace(problem, times=b""), unit)
-    options = dict(options)
+    options = {**options, "max_num_steps": problem.most_steps}
     longest = problem.longest(options.get("max_step_size"))
     if longest is not None:
         options["max_step_size"] = longest
