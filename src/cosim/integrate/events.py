@@ -31,7 +31,7 @@ from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.integrate.passed_over import attentive, with_conditions, with_note_on_steps
 from cosim.integrate.places import finer_grid
 from cosim.integrate.saltation import crossed, slid_derivatives
-from cosim.integrate.window import MANY_STEPS, Window
+from cosim.integrate.window import Window
 from cosim.model.growth import Closer
 from cosim.model.inputs import InputSeries
 from cosim.model.solver import AdaptiveSolver, Solver
@@ -394,11 +394,10 @@ class _Course:
         if inputs and not np.ptp(inputs.values, axis=0).any():
             inputs = None  # it rests: code that is compiled without it serves all values
         problem = replace(self.problem, dae=own.dae, inputs=inputs)
-        if self.window.seeks:
-            problem = replace(problem, most_steps=MANY_STEPS)
         if self.closer and self.at.t < self.closer.until:
             problem = _with_shares(problem, self.closer)
-        problem = replace(problem, times=self.window.with_looks(times).tobytes())
+        looks, most = self.window.with_looks(times), self.window.most_steps
+        problem = replace(problem, times=looks.tobytes(), most_steps=most)
         known = self.at, self.began, self.values.p, self.kernel
         piece = Piece(self.system, own, problem, self.solver, *known)
         self.reached.append(piece.reached)

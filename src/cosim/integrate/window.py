@@ -9,11 +9,12 @@ from cosim.integrate.engine import MOST_STEPS
 from cosim.integrate.location import SAME_TIME, Piece
 from cosim.text import EndKind
 
-MANY_STEPS = 1_000  # of a piece that is not looked at as closely; a fresh start costs 60
+_MANY_STEPS = 1_000  # of a piece that is not looked at as closely; a fresh start costs 60
 _FEW_STEPS = 100  # take as long as all else of a piece
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 _FIRST, _LEAST, _LEAST_WATCHED = 32, 31, 1000  # intervals; after an event; if the solver sees it
 _SOON = 1.25  # times the time between events: within which the next one is looked for
+_NEAR = 0.1  # share of a piece by which it may be longer or shorter
 _NEARER = 1 / 8  # share of a time in which a solver fails
 
 
@@ -31,6 +32,7 @@ class Window:
     Attributes:
         length: Of the next piece, s.
         apart: Longest time between two looks, s.
+        most_steps: From one look to the next, after which the solver gives up.
     """
 
     def __init__(self, grid: Vector, *, looks: bool) -> None:
@@ -40,14 +42,18 @@ class Window:
         self.longest = (_LEAST if looks else _LEAST_WATCHED) * interval  # of what is the least
         self.least = self.longest  # after an event
         self.apart = np.inf
+        self.most_steps = _MANY_STEPS if looks else MOST_STEPS
         self.began, self.row, self.steps = float(grid[0]), 0, 0  # the steps since then
-        self.stays = dict[bytes, float]()  # s, that the motion last was in these modes
+        self.known = dict[bytes, tuple[float, float, float]]()  # by modes: s in them, least, apart
 
     def end(self, t: float) -> float:
-        """Return the end of a piece that begins at a time, s: an output time if there is any."""
-        until = t + min(self.length, _MOST_LOOKS * self.apart)
-        row = int(self.grid.searchsorted(until, "right")) - 1
-        return float(self.grid[row]) if self.grid[row] > t else until
+        """Return the end of a piece that begins at a time, s: an output time if one is near."""
+        length = min(self.length, _MOST_LOOKS * self.apart)
+        until = min(t + length, float(self.grid[-1]))
+        row = int(self.grid.searchsorted(until))
+        rows = self.grid[max(row - 1, 0) : row + 1]
+        nearest = float(rows[np.abs(rows - until).argmin()])
+        return nearest if abs(nearest - until) <= _NEAR * (until - t) else until
 
     def with_looks(self, times: Vector) -> Vector:
         """Return times with further ones between them, none of which are too far apart."""
@@ -61,7 +67,8 @@ class Window:
         """Learn from a piece; return whether it must be shorter, or looked at more closely.
 
         Raises:
-            SolverError: Too many steps have come to no output time and no event.
+            SolverError: The solver fails at once, or has taken too many steps since the last output
+                time or event.
         """
         if not self.seeks or piece.reason == INTERRUPTED:
             return False
@@ -71,11 +78,21 @@ class Window:
         self._count(piece, steps)
         dense = steps > _STEPS_PER_LOOK * max(looks, 1)
         if piece.reason:
-            self.length = reached or _NEARER * float(times[-1] - times[0])
             least = max(SAME_TIME * piece.span, 32 * np.spacing(abs(times[0])))
-            return self.length > least and (dense or not reached)
-        if dense and steps > MANY_STEPS:
-            self.length = reached * MANY_STEPS / (2 * steps)
+            if reached > least:
+                self.length = reached
+                return dense
+            if self.most_steps == MOST_STEPS:
+                raise SolverError(piece.reason, ending=piece.reason)
+            nearer = _NEARER * float(times[-1] - times[0])
+            if nearer > least:
+                self.length = nearer
+            else:
+                self.most_steps = MOST_STEPS  # to see why it fails
+            return True
+        self.most_steps = _MANY_STEPS
+        if dense and steps > _MANY_STEPS:
+            self.length = reached * _MANY_STEPS / (2 * steps)
             return True
         if dense:
             self.apart = reached * _STEPS_PER_LOOK / (2 * steps)
@@ -91,7 +108,7 @@ class Window:
         self.row = row
         if self.steps > MOST_STEPS:
             why = f"too many steps at t = {piece.begin.t:g}"
-            raise SolverError.of(piece.own.dae.full_name, why, kind=EndKind.TOO_MANY_STEPS)
+            raise SolverError.of(piece.own.dae.full_name, why, kind=EndKind.TOO__MANY_STEPS)
 
     def widen(self) -> None:
         """Note that a piece had no event."""
@@ -109,5 +126,6 @@ class Window:
             before, after: The modes.
         """
         passed, self.began, self.steps = t - self.began, t, 0
-        self.stays[before.tobytes()] = passed
-        self.length = max(self.least, _SOON * self.stays.get(after.tobytes(), passed))
+        last = self.known[before.tobytes()] = passed, self.least, self.apart
+        passed, self.least, self.apart = self.known.get(after.tobytes(), last)
+        self.length = min(max(self.least, _SOON * passed), _MANY_STEPS * self.apart)
