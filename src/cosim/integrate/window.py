@@ -14,7 +14,7 @@ _FEW_STEPS = 100  # take as long as all else of a piece
 _STEPS_PER_LOOK, _MOST_LOOKS = 8, 100_000  # on average; in a piece
 _FIRST, _LEAST, _LEAST_WATCHED = 32, 31, 1000  # intervals; after an event; if the solver sees it
 _SOON = 1.25  # times the time between events: within which the next one is looked for
-_NEAR = 0.1  # share of a piece by which it may be longer or shorter
+_NEAR = 0.1  # share of a piece by which it may be shorter
 _NEARER = 1 / 8  # share of a time in which a solver fails
 
 
@@ -50,10 +50,8 @@ class Window:
         """Return the end of a piece that begins at a time, s: an output time if one is near."""
         length = min(self.length, _MOST_LOOKS * self.apart)
         until = min(t + length, float(self.grid[-1]))
-        row = int(self.grid.searchsorted(until))
-        rows = self.grid[max(row - 1, 0) : row + 1]
-        nearest = float(rows[np.abs(rows - until).argmin()])
-        return nearest if abs(nearest - until) <= _NEAR * (until - t) else until
+        last = float(self.grid[self.grid.searchsorted(until, "right") - 1])
+        return last if until - last <= _NEAR * (until - t) else until
 
     def with_looks(self, times: Vector) -> Vector:
         """Return times with further ones between them, none of which are too far apart."""
@@ -108,7 +106,7 @@ class Window:
         self.row = row
         if self.steps > MOST_STEPS:
             why = f"too many steps at t = {piece.begin.t:g}"
-            raise SolverError.of(piece.own.dae.full_name, why, kind=EndKind.TOO__MANY_STEPS)
+            raise SolverError.of(piece.own.dae.full_name, why, kind=EndKind.TOO_MANY_STEPS)
 
     def widen(self) -> None:
         """Note that a piece had no event."""
