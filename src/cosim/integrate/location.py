@@ -19,7 +19,7 @@ from cosim.integrate.modes import Instant, Passed, Watched, hybrid, passed_event
 from cosim.integrate.nominal import InitialState, scaled_call
 from cosim.memo import cached_per_thread
 from cosim.model.inputs import InputSeries
-from cosim.model.solver import Solver
+from cosim.model.solver import AdaptiveSolver, Solver
 from cosim.model.values import Values
 from cosim.text import Ending
 
@@ -361,11 +361,26 @@ class _FreshRuns:
         found = None if near else piece.state_at(k, t)
         x, z = found or self._on_cubic(t)
         seen = piece.watched(np.array([t]), x[None], z[None])
+        if near and not self._is_exact(t, x, seen.ode[0]):
+            found = piece.state_at(k, t)
+            x, z = found or (x, z)
+            seen = piece.watched(np.array([t]), x[None], z[None])
         if found:
             self._end = t, x, seen.ode[0], z
         self.t, self.x, self.seen = t, x, seen
         (inside,), (towards,) = piece.margins(seen)
         return inside, towards
+
+    def _is_exact(self, t: float, x: Vector, rates: Vector) -> bool:
+        """Return whether a state on the cubic follows from the rates there and at its end."""
+        assert self._end is not None
+        end, at_end, rates_at_end, _ = self._end
+        solver = self.piece.solver
+        relative = solver.tolerance.pair[0] if isinstance(solver, AdaptiveSolver) else _CLOSE**2
+        own = slice(self.k, self.k + 2)
+        sizes = np.fmax(np.abs(self.piece.x[own]).max(axis=0), np.abs(x))
+        off = x - at_end - (t - end) * (rates + rates_at_end) / 2
+        return bool((np.abs(off) <= relative * sizes).all())
 
     def _on_cubic(self, t: float) -> tuple[Vector, Vector]:
         """Return states and unknowns on the cubic to the end of the last run, or interval."""
