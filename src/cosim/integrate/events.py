@@ -174,7 +174,7 @@ class _Course:
         watches = not system.relations or (problem.compiled and solver.watches)
         # where an input rests is found from the states that the last event has left
         self.passes_time = watches and not (self.series and system.resting)
-        self.window = Window(self.grid, looks=not watches and system.of_states)
+        self.window = Window(self.grid, looks=bool(system.of_states) and not watches)
         self.stop, self.slides = "", False
         t = float(self.grid[0])
         modes = np.ones(len(system.relations))
