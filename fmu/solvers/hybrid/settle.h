@@ -267,7 +267,7 @@ static inline void note_zeros(const Laws *laws, Switching *s, const Seen *seen, 
 }
 
 /* Adds arguments that new values have moved to where only rounding keeps them within their modes to
- * those that are 0, as where events coincide, if their rates are known. */
+ * those that are 0, if their rates are known; importers locate events with larger errors. */
 static inline void note_passing(const Laws *laws, const Switching *s, const Point *at,
                                 const Seen *seen, const bool moved[], bool zero[]) {
     double inside[MODES + 1], rates[MODES + 1];
@@ -275,8 +275,9 @@ static inline void note_passing(const Laws *laws, const Switching *s, const Poin
     for (int i = 0; i < MODES; i++) {
         const Relation *relation = &laws->relations[i];
         const bool known = !relation->of_time && !(laws->blind && relation->moved);
-        const bool near = inside[i] >= 0 && is_passing(s, at->t, i, inside[i], rates[i], 1);
-        zero[i] = zero[i] || (moved[i] && known && near);
+        const bool rounded = inside[i] >= 0 && (laws->blind || inside[i] <= 2 * s->slack[i]);
+        const bool passes = rounded && is_passing(s, at->t, i, inside[i], rates[i], 1);
+        zero[i] = zero[i] || (moved[i] && known && passes);
     }
 }
 
