@@ -222,6 +222,7 @@ def test_an_importer_comes_late_or_early_to_what_coincides(tolerance, late):
     assert Importer(exported(TEETH, 2), tolerance, late).count(0.03) == 20
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_relation_that_passes_slowly_takes_no_other_one_with_it(engine):
     model = cosim.Model("flat", stop_time=5.0, output_interval=0.1)

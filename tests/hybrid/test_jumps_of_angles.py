@@ -34,6 +34,7 @@ RIGHT = {  # of speed and place: how long in 10 s
 }
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_angle_that_jumps_the_other_way_is_an_event(engine):
     for (speed, place), right in RIGHT.items():

@@ -40,6 +40,7 @@ def motion():
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_relation_of_a_quotient_switches_at_poles(engine):
     x = ca.SX.sym("x")
