@@ -19,6 +19,7 @@ def built(name, stop_time, rows, states, equations):
     return model.freeze()
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize(("stop_time", "rows"), [(1e3, 100), (1e4, 100), (10.0, 1)])
 def test_fast_motion_beyond_an_event_is_not_followed(solver, stop_time, rows):
@@ -50,6 +51,7 @@ def again(model, x):
 LAWS["again"] = again, [1], 0, 1 / 0.6
 
 
+@pytest.mark.quick_share(0.3)
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("rows", [1, 20, 200])
 @pytest.mark.parametrize("law", LAWS)
