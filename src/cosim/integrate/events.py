@@ -78,7 +78,6 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     if not isinstance(solver, AdaptiveSolver):
         motion = attempt(None, problem.grid, np.empty(0))
         return with_note_on_steps(motion)
-    goes_on = system is not None and continuation(problem, solver, start)
     return followed_growth(
         lambda closer: attentive(
             partial(attempt, closer),
@@ -89,7 +88,7 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
         lambda closer, steps: attempt(
             closer, np.unique(finer_grid(problem.grid, steps)), np.empty(0)
         ),
-        goes_on or None,
+        None if system is None else continuation(problem, solver, start),
         solver,
     )
 

@@ -304,7 +304,8 @@ def _spread(t: Vector, first: int, last: int, places: int) -> Integers:
 def _growing(path: StatePath, spans: Sequence[Span]) -> list[bool]:
     """Return in which spans, or soon after, a deviation may grow by e, as slopes there tell."""
     every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
-    path.slopes_at(np.unique(np.concatenate([[0], *every])))  # all at once
+    if every:  # all slopes at once
+        path.slopes_at(np.unique(np.concatenate(every)))
     return [_may_grow(path, path.time[rows], path.slopes_at(rows)) for rows in every]
 
 
