@@ -101,10 +101,9 @@ class LawsWithModes:
         nodes = list(in_postorder(roots, leftmost_first=True))
         in_laws = _parts_of([row for rows in columns[: len(laws)] for row in rows], nodes)
         in_laws -= _parts_of(smooth, nodes)
-        changes, constant = set[int](), symbols(dae.p)
-        self._constant = constant
+        changes, self._constant = set[int](), symbols(dae.p)
         for key, value, keys in nodes:
-            if changes.intersection(keys) or (value.is_symbolic() and key not in constant):
+            if changes.intersection(keys) or (value.is_symbolic() and key not in self._constant):
                 changes.add(key)
         codes = {key: value.op() for key, value, keys in nodes if keys and key in in_laws & changes}
         self._events = {key for key, code in codes.items() if code in RELATIONS}

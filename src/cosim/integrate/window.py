@@ -36,7 +36,7 @@ class Window:
     """
 
     def __init__(self, grid: Vector, *, looks: bool) -> None:
-        self.grid, self.seeks = grid, looks
+        self.grid, self.looks = grid, looks
         interval = float(np.ptp(grid)) / max(len(grid) - 1, 1)
         self.length = _FIRST * interval if looks else np.inf
         self.longest = (_LEAST if looks else _LEAST_WATCHED) * interval  # of what is the least
@@ -68,7 +68,7 @@ class Window:
             SolverError: The solver fails at once, or has taken too many steps since the last output
                 time or event.
         """
-        if not self.seeks or piece.reason == INTERRUPTED:
+        if not self.looks or piece.reason == INTERRUPTED:
             return False
         steps, times = piece.reached.counts.steps or 0, piece.problem.grid
         looks = len(piece.times) - 1
