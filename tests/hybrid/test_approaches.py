@@ -3,6 +3,7 @@
 from functools import cache
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers.hybrid_engines import ENGINES, run_on
 
@@ -34,6 +35,24 @@ def assert_only_approached(engine, rates, levels, laws):
 
 def test_what_only_approaches_its_boundary_does_not_cross_it():
     assert_only_approached("dop853", (1.4, 2.3), (1.0,), ("above", "reached"))
+
+
+def test_what_the_rounding_of_its_size_is_near_a_boundary_does_not_cross_it():
+    """At output times, dop853 is as near as rounding of the nominal value, and falls."""
+    for k, level in (
+        (2.979945627733344, 0.031047085410296493),
+        (9.915045291766724, 3.6682700766425477e-4),
+    ):
+        assert_only_approached("dop853", (k,), (level,), ("above",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["dop853", "rosenbrock"])
+def test_what_approaches_at_random_rates_crosses_its_boundary_in_no_run(engine):
+    random = np.random.default_rng(1)
+    for _ in range(200):
+        k, level = 10 ** random.uniform(-0.5, 1.3), 10 ** random.uniform(-4, 5)
+        assert_only_approached(engine, (k,), (level,), ("above",))
 
 
 NATIVE = [e for e in ENGINES if not e.startswith("fmu") and e not in ("rk4", "ode8")]

@@ -46,9 +46,9 @@ static inline int leaving_at(const Laws *laws, const Switching *s, const Place *
     return -1;
 }
 
-/* A time at which a margin falls below 0: after it at `low`, where it was `within`, no later than
- * `high`, where it has been seen to be below 0 if it `crosses`. One that rises may jump a little
- * later than was seen: `further` on. */
+/* A time at which a margin falls below 0: after it at `low`, where it was seen `within`, no later
+ * than `high`, where it has been seen to be below 0 if it `crosses`. One that rises may jump a
+ * little later than was seen: `further` on. */
 typedef struct {
     double low, high, end, within, further;
     int trials;
@@ -133,9 +133,10 @@ static inline int first_at(const Place *place, const Switching *s, int found) {
  * far side, so that what has become true there is true by value. */
 static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
                              double end, Crossing *crossing) {
-    Bounds bounds = {begin, end, end, 0, 0, 0, false};
+    Bounds bounds = {begin, end, end, -INFINITY, 0, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
+    bool passes = false;        /* but for rounding */
     int beyond = 0;
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
         const double t = crossing->time;
@@ -145,6 +146,7 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         const double speed = fabs(place.rates[i]), slack = slack_of(s, i);
         left = place.inside[i] - slack;
         rises = place.rates[i] > 0;
+        passes = is_passing(s, t, i, place.inside[i], place.rates[i], 1);
         const double most = slack + rounding_of_time(&place, i);
         ahead = fmax(most, slack + located(s, t) * time_scale(s, t) * speed);
         const double longest = fmin(t - begin, SAME_TIME * fabs(t));
@@ -158,9 +160,10 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
         crossing->time = fmin(t + 2 * ulp(t), end);
     }
-    const double least = JUMP * slack_of(s, crossing->relation);
-    const bool jumps = bounds.crosses && left < -least && bounds.within > least;
-    return left <= ahead && (!rises || jumps) ? CROSSES : TOUCHES;
+    const double slack = slack_of(s, crossing->relation), jump = bounds.within - left;
+    const bool jumps = left < -JUMP * slack && jump > MOVED * slack;
+    const bool goes = bounds.crosses || passes; /* what only approaches its boundary does neither */
+    return left <= ahead && goes && (!rises || jumps) ? CROSSES : TOUCHES;
 }
 
 /* A place after a touch at which every relation is within its mode again; false if none is. */
