@@ -392,11 +392,15 @@ class _Course:
         inputs = series and series.around(float(times[0]))
         if inputs and not np.ptp(inputs.values, axis=0).any():
             inputs = None  # it rests: code that is compiled without it serves all values
-        problem = replace(self.problem, dae=own.dae, inputs=inputs)
+        problem = replace(
+            self.problem,
+            dae=own.dae,
+            inputs=inputs,
+            times=self.window.with_looks(times).tobytes(),
+            most_steps=self.window.most_steps,
+        )
         if self.closer and self.at.t < self.closer.until:
             problem = _with_shares(problem, self.closer)
-        looks, most = self.window.with_looks(times), self.window.most_steps
-        problem = replace(problem, times=looks.tobytes(), most_steps=most)
         known = self.at, self.began, self.values.p, self.kernel
         piece = Piece(self.system, own, problem, self.solver, *known)
         self.reached.append(piece.reached)

@@ -11,7 +11,7 @@ tolerance helps.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, compress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -190,7 +190,7 @@ class _Level(NamedTuple):
         last, needed = len(path.time) - 1, float(np.log(self.least / self.error))
         for places, between in ((_PLACES, _MORE), (_MORE * _PLACES, 1)):
             rows, slopes = _slopes_at(path, 0, last, places)
-            if between * _exponent(path.time[rows], slopes) <= needed:
+            if not len(rows) or between * _exponent(path.time[rows], slopes) <= needed:
                 return False
         return True
 
@@ -253,26 +253,22 @@ def _first_lines(
     bends = lengths * np.abs(there.reshape(ends.shape) - rates)
     calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None, None]
     new = (calm & (calm.cumsum(axis=-1) == 1)).any(axis=0)
-    found = np.argwhere(new)
-    if not len(found):
+    which, own = np.nonzero(new)
+    if not len(which):
         return
-    times, lines = list[Vector](), list[Vector]()
-    for i, k in found:
-        first = begins[i]
-        time = np.linspace(t[first], t[first] + lengths[i, k], _PLACES)
-        line = path.states[:, [first]] + rates[:, i] * (time - t[first])
-        times.append(time)
-        lines.append(np.where(calm[:, i, k, None], line, _between(path, time)))
-    slopes = np.split(path.slopes(np.hstack(times), np.hstack(lines)), len(found))
-    for (i, k), time, steep in zip(found, times, slopes, strict=True):
-        if _may_grow(path, time, steep):
-            every = np.union1d(t, time)
-            rows = every.searchsorted(time[[0, -1]]).tolist()
-            yield replace(path, time=every, states=_between(path, every)), *rows, calm[:, i, k]
+    first, calm = begins[which], calm[:, which, own]
+    time = np.linspace(t[first], t[first] + lengths[which, own], _PLACES, axis=-1)
+    line = path.states[:, first, None] + rates[:, which] * (time - t[first, None])
+    states = np.where(calm[..., None], line, _between(path, time))
+    slopes = path.slopes(time.ravel(), states.reshape(len(x), -1))
+    for k in np.flatnonzero(_may_grow(path, time, slopes)).tolist():
+        every = np.union1d(t, time[k])
+        rows = every.searchsorted(time[k, [0, -1]]).tolist()
+        yield replace(path, time=every, states=_between(path, every)), *rows, calm[:, k]
 
 
 def _between(path: StatePath, times: Vector) -> Vector:
-    """Return the states at times, s, (m,), lines between the rows, (nx, m)."""
+    """Return the states at times, s, (...), lines between the rows, (nx, ...)."""
     return np.array([np.interp(times, path.time, state) for state in path.states])
 
 
@@ -289,64 +285,66 @@ def _slopes_at(path: StatePath, first: int, last: int, places: int) -> tuple[Int
 
     Slopes are in nominal values. Rows without finite ones are left out.
     """
-    rows = _spread(path.time, first, last, places)
+    rows = np.unique(_spread(path.time, first, last, places))
     slopes = path.slopes_at(rows)
-    finite = _finite(slopes)
+    finite = np.isfinite(slopes).all(axis=(1, 2))
     return rows[finite], slopes[finite]
 
 
-def _spread(t: Vector, first: int, last: int, places: int) -> Integers:
-    """Return some rows from a first to a last one, evenly in time, (m,)."""
-    wanted = t.searchsorted(np.linspace(t[first], t[last], places))
-    return np.unique(np.clip(wanted, first, last))
+def _spread(t: Vector, first: Any, last: Any, places: int) -> Integers:
+    """Return some rows from first to last ones, (...), evenly in time, (..., places)."""
+    wanted = t.searchsorted(np.linspace(t[first], t[last], places, axis=-1))
+    return np.clip(wanted, np.asarray(first)[..., None], np.asarray(last)[..., None])
 
 
-def _growing(path: StatePath, spans: Sequence[Span]) -> list[bool]:
-    """Return in which spans, or soon after, a deviation may grow by e, as slopes there tell."""
-    every = [_spread(path.time, *span[:2], _PLACES) for span in spans]
-    if every:  # all slopes at once
-        path.slopes_at(np.unique(np.concatenate(every)))
-    return [_may_grow(path, path.time[rows], path.slopes_at(rows)) for rows in every]
+def _growing(path: StatePath, spans: Sequence[Span]) -> Truths:
+    """Return in which spans, (n,), a deviation may grow; see `_may_grow`."""
+    first, last = np.array([span[:2] for span in spans], dtype=int).reshape(-1, 2).T
+    rows = _spread(path.time, first, last, _PLACES)
+    return _may_grow(path, path.time[rows], path.slopes_at(rows.ravel()))
 
 
-def _may_grow(path: StatePath, times: Vector, slopes: Vector) -> bool:
-    """Return whether a deviation may grow by e over times, s, (m,), or soon after, in a path."""
-    if not _finite(slopes).all():
-        return True
-    between = 1 if _steady(slopes) else _MORE
-    return between * _exponent(times, slopes, _end(times, path.time[-1])) > 1
+def _may_grow(path: StatePath, times: Vector, slopes: Vector) -> Truths:
+    """Return along which lines, (n,), or soon after, a deviation may grow by e, as slopes tell.
+
+    Args:
+        path: Where they are.
+        times: Some of each, s, (n, m).
+        slopes: There, line after line, (n * m, nx, nx).
+    """
+    slopes = slopes.reshape(*times.shape, *2 * [len(path.states)])
+    finite = np.asarray(np.isfinite(slopes).all(axis=(1, 2, 3)))
+    found = ~finite
+    times, slopes = times[finite], slopes[finite]
+    between = np.where(_steady(slopes), 1, _MORE)
+    found[finite] = between * _exponent(times, slopes, _end(times, path.time[-1])) > 1
+    return found
 
 
-def _end(times: Vector, latest: float) -> float:
-    """Return when a line ends at the latest that goes on after some times, s, (m,)."""
-    return float(min(times[-1] + _SHORTER * (times[-1] - times[0]), latest))
+def _end(times: Vector, latest: float) -> Vector:
+    """Return when lines end at the latest that go on after some times, s, (..., m)."""
+    return np.minimum(times[..., -1] + _SHORTER * (times[..., -1] - times[..., 0]), latest)
 
 
-def _exponent(t: Vector, slopes: Vector, end: float = -np.inf) -> float:
-    """Return the logarithm of the largest growth over times, s, (m,), and from there to an end."""
-    if not len(t):
-        return 0.0
-    rates = np.broadcast_to(np.fmax(_growth_rates(slopes), 0), t.shape)
-    return float(np.trapezoid(rates, t) + rates[-1] * max(end - t[-1], 0))
+def _exponent(t: Vector, slopes: Vector, end: Vector | float = -np.inf) -> Vector:
+    """Return logarithms of the largest growth over times, s, (..., m), and from there to an end."""
+    rates = np.fmax(_growth_rates(slopes), 0)
+    found: Vector = np.trapezoid(rates, t) + rates[..., -1] * np.fmax(end - t[..., -1], 0)
+    return found
 
 
 def _growth_rates(slopes: Vector) -> Vector:
-    """Return the largest real part of the eigenvalues at places, 1/s, (m,), or the only one."""
-    rates: Vector = np.linalg.eigvals(_distinct(slopes)).real.max(axis=1)
-    return rates
+    """Return the largest real part of the eigenvalues at places, 1/s, (...)."""
+    every = slopes.reshape(-1, *slopes.shape[-2:])
+    new = (np.diff(every, axis=0, prepend=np.inf) != 0).any(axis=(1, 2))  # the same at rest
+    rates: Vector = np.linalg.eigvals(every[new]).real.max(axis=1)[new.cumsum() - 1]
+    return rates.reshape(slopes.shape[:-2])
 
 
-def _steady(slopes: Vector) -> bool:
-    return bool(np.ptp(slopes, axis=0).max() <= _STEADY * np.abs(slopes).max())
-
-
-def _distinct(slopes: Vector) -> Vector:
-    """Return slopes at places, (m, nx, nx), or the first ones if all are the same, as at rest."""
-    return slopes[:1] if (slopes == slopes[0]).all() else slopes
-
-
-def _finite(slopes: Vector) -> Truths:
-    return np.asarray(np.isfinite(slopes).all(axis=(1, 2)))
+def _steady(slopes: Vector) -> Truths:
+    """Return whether slopes at places, (..., m, nx, nx), are nearly the same."""
+    most = np.abs(slopes).max(axis=(-3, -2, -1))
+    return np.asarray(np.ptp(slopes, axis=-3).max(axis=(-2, -1)) <= _STEADY * most)
 
 
 def growth_along(
@@ -440,9 +438,10 @@ class _Course:
         rows, slopes = _slopes_at_places(path, first, last)
         if not len(rows) or rows[0] != first:
             return None
+        at_rest = (slopes == slopes[0]).all()
         values, left = (
             np.broadcast_to(own, (len(rows), *own.shape[1:]))
-            for own in np.linalg.eig(_distinct(slopes).transpose(0, 2, 1))
+            for own in np.linalg.eig((slopes[:1] if at_rest else slopes).transpose(0, 2, 1))
         )
         own = path.grows  # others, as those that only events change, push at most
         left = left / np.fmax(np.linalg.norm(left[:, own], axis=1, keepdims=True), _EPS)

@@ -56,7 +56,8 @@ class StatePath:
 
     def slopes_at(self, rows: Integers) -> Vector:
         """Return the slopes at rows in nominal values, (m, nx, nx)."""
-        new = np.array([row for row in rows.tolist() if row not in self._known], dtype=int)
+        missing = (row for row in dict.fromkeys(rows.tolist()) if row not in self._known)
+        new = np.array(list(missing), dtype=int)
         if len(new):
             slopes = self.slopes(self.time[new], self.states[:, new])
             scaled = slopes * self.sizes / self.sizes[:, None]
