@@ -227,6 +227,8 @@ def _hint(word: str, words: Sequence[str], verb: Parser) -> str:
 
 def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:
     """Run a verb within its time limit, which FMU files have for each run; return its exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # an encoding may lack letters of a name
+        sys.stdout.reconfigure(errors="backslashreplace")  # no time limit may interrupt this
     seconds = None if foreign else getattr(args, "timeout", None)
     code, limit = None, TimeLimit(seconds)
     with suppress(KeyboardInterrupt), limit:
@@ -243,8 +245,6 @@ def _run_verb(args: argparse.Namespace, *, foreign: bool) -> int:
 
 def _reported(args: argparse.Namespace) -> int:
     """Run a verb; return its exit code, every error reported in one line."""
-    if isinstance(sys.stdout, io.TextIOWrapper):  # an encoding may lack letters of a name
-        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with warnings.catch_warnings(), shown_on_terminal(args.quiet):
             if not args.debug:
