@@ -10,6 +10,7 @@ import casadi as ca
 from casadi import SX
 
 from casadi_models.dae.expressions import applied, operations, replayed
+from casadi_models.dae.time_bounds import is_small
 
 _DIVIDING = {ca.OP_DIV, ca.OP_INV, ca.OP_TAN, ca.OP_CONSTPOW, ca.OP_POW}
 
@@ -59,7 +60,7 @@ def without_poles(argument: SX, constant: Collection[int]) -> SX:
     """Return an expression with the sign of another one, and without poles where that may change.
 
     A quotient has the sign of its numerator times its denominator. Poles within other functions
-    stay, and so does an expression without any.
+    stay, and so does an expression without any, or one whose numerator would be a large one.
 
     Args:
         argument: (1, 1).
@@ -77,7 +78,8 @@ def without_poles(argument: SX, constant: Collection[int]) -> SX:
     if all(factor.range == _Range.POSITIVE for factor in quotient.below):
         return argument
     odd = (f.value for f, power in quotient.below.items() if power % 2 and f.range == _Range.ANY)
-    return prod(odd, start=_product(quotient.above))
+    found = prod(odd, start=_product(quotient.above))
+    return found if is_small(found) else argument
 
 
 def _whole(value: SX, range_: _Range, moves: bool) -> _Quotient:

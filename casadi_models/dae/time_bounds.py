@@ -114,6 +114,12 @@ def time_bounds(dae: Dae, expressions: Mapping[int, SX]) -> TimeBounds:
     return TimeBounds(length, tuple(known), column(lows), column(highs))
 
 
+def is_small(expression: SX) -> bool:
+    """Return whether an expression has so few operations that its bounds tell something."""
+    count: int = ca.Function("f", ca.symvar(expression), [expression]).n_instructions()
+    return count <= _MOST_OPERATIONS
+
+
 def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosures:
     """Return the bounds of expressions of time, states and inputs, by position.
 
@@ -135,8 +141,7 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     ends = ca.vertcat(dae.t + length, high, fastest)
     known, found = list[int](), list[_Span]()
     for i, value in expressions.items():
-        operations = ca.Function("f", ca.symvar(value), [value]).n_instructions()
-        if ca.depends_on(value, dae.z) or operations > _MOST_OPERATIONS:
+        if ca.depends_on(value, dae.z) or not is_small(value):
             continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
         spans = _spans(

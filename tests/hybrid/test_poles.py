@@ -76,6 +76,14 @@ def test_what_has_no_pole_stays_as_it_is():
         assert without_poles(argument, symbols(p)) is argument
 
 
+def test_a_quotient_stays_whose_numerator_is_a_large_one():
+    """Of 533 operations of the jumping bicycle became 2925, and 2 s of a run 34."""
+    x = ca.SX.sym("x")
+    for count, stays in ((5, False), (40, True)):
+        argument = sum(1 / (x - i) for i in range(count)) - 1
+        assert (without_poles(argument, {}) is argument) == stays
+
+
 def test_a_common_denominator_is_one_factor():
     x, a = ca.SX.sym("x"), ca.SX.sym("a")
     place = x - a
