@@ -287,10 +287,8 @@ def _slopes(dae: Dae, t: Vector, x: Vector, z: Vector, u: Vector, p: Vector) -> 
         t, x, z, u, p: The places, where the algebraic equations hold: (1, m), (nx, m) ...; one
             column may serve all.
     """
-    by_x, by_z, alg_x, alg_z = (
-        np.array(block).reshape(block.rows(), t.size, block.columns() // t.size).transpose(1, 0, 2)
-        for block in _blocks(dae).call([t, x, z, u, p])
-    )
+    blocks = _blocks(dae).call([t, x, z, u, p])
+    by_x, by_z, alg_x, alg_z = (_at_places(block, t.size) for block in blocks)
     for k in range(t.size if dae.algebraics else 0):
         try:
             by_x[k] -= by_z[k] @ np.linalg.solve(alg_z[k], alg_x[k])
@@ -299,10 +297,19 @@ def _slopes(dae: Dae, t: Vector, x: Vector, z: Vector, u: Vector, p: Vector) -> 
     return by_x
 
 
+def _at_places(block: ca.DM, places: int) -> Vector:
+    """Return matrices beside each other, (n, m * places), as (places, n, m)."""
+    rows, columns = block.shape[0], block.shape[1] // places
+    found = np.zeros((places, rows, columns))
+    row, column = (np.array(own, dtype=int) for own in block.sparsity().get_triplet())
+    found[column // max(columns, 1), row, column % max(columns, 1)] = block.nonzeros()
+    return found
+
+
 @cached_per_thread(16)
 def _blocks(dae: Dae) -> ca.Function:
     pairs = ((of, by) for of in (dae.ode, dae.alg) for by in (dae.x, dae.z))
-    slopes = [ca.densify(ca.jacobian(*pair)) for pair in pairs]
+    slopes = [ca.jacobian(*pair) for pair in pairs]
     return ca.Function("slopes", dae.arguments, slopes, {"cse": True})
 
 

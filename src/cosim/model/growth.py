@@ -27,6 +27,7 @@ _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
 _SHORTER = 4.0  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
+_SAME = 1e-9  # of the largest slope: changes that move no eigenvalue
 _MOST_EXPONENT = 600.0
 SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
@@ -143,11 +144,13 @@ def _growing_lines(
         return
     bends = Bends.of(path, steps)
     for level in _levels(relative, absolute):
-        spans = bends.spans(relative, level.calm * path.sizes, path.grows)
+        spans = bends.spans(relative, level.calm, path)
         # where steps are closer than rows, a line may be short
-        if (spans or steps >= len(path.time)) and level.matters(path):
+        short = bool(spans) or steps >= len(path.time)
+        starts = _starts(path, path.begins, relative, level.calm) if short else None
+        if (spans or starts) and level.matters(path):
             own = ((path, *span) for span in compress(spans, _growing(path, spans)))
-            yield level, chain(own, _first_lines(path, path.begins, relative, level.calm))
+            yield level, chain(own, _growing_from(path, starts))
 
 
 def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> bool:
@@ -156,15 +159,16 @@ def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> 
     Rows tell, without those at the sides of events.
     """
     calm = _levels(relative, absolute)[-1].calm  # the most that is
-    spans = Bends.of(path, steps).spans(relative, calm * path.sizes, path.grows)
+    spans = Bends.of(path, steps).spans(relative, calm, path)
     return bool(spans) or steps >= len(path.time)
 
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
     for level in _levels(relative, absolute):
-        lines = _first_lines(path, np.array([0]), relative, level.calm)
-        if level.matters(path) and (found := level.smallest(lines)):
+        starts = _starts(path, np.array([0]), relative, level.calm)
+        found = level.smallest(_growing_from(path, starts)) if level.matters(path) else None
+        if found:
             return found
     return None
 
@@ -229,7 +233,7 @@ def unfollowed_growth(
     """
     if closer is None:
         return suppressed_growth(path, steps, relative, absolute)
-    spans = Bends.of(path, steps).spans(relative, absolute * path.sizes, path.grows)
+    spans = Bends.of(path, steps).spans(relative, absolute, path)
     hidden = absolute / relative if relative else np.inf
     for first, last, calm in spans:
         line = replace(path, time=path.time[: last + 1], states=path.states[:, : last + 1])
@@ -239,12 +243,26 @@ def unfollowed_growth(
     return suppressed_growth(path.since(closer.until), steps, relative, absolute)
 
 
-def _first_lines(
-    path: StatePath, begins: Integers, relative: float, absolute: float
-) -> Iterator[_Line]:
-    """Yield lines from some rows that are ones to the tolerance, with rows along them."""
-    t, x = path.time, path.states[:, begins, None]
-    start = t[begins, None]
+class _Starts(NamedTuple):
+    """Lines from some rows of a path along their slopes.
+
+    Attributes:
+        rows: Where they begin, (n,).
+        lengths: Their lengths, s, (n,).
+        rates: dx/dt there, (nx, n).
+        calm: Which states follow them, (nx, n).
+    """
+
+    rows: Integers
+    lengths: Vector
+    rates: Vector
+    calm: Truths
+
+
+def _starts(path: StatePath, rows: Integers, relative: float, absolute: float) -> _Starts | None:
+    """Return the longest lines, to the tolerance, of groups of states from some rows, if any."""
+    t, x = path.time, path.states[:, rows, None]
+    start = t[rows, None]
     rates = path.rates(start[:, 0], x[..., 0])[..., None]
     shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
     lengths = (t[-1] - start) * shares
@@ -252,19 +270,25 @@ def _first_lines(
     there = path.rates((start + lengths).ravel(), ends.reshape(len(x), -1))
     bends = lengths * np.abs(there.reshape(ends.shape) - rates)
     calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None, None]
-    new = (calm & (calm.cumsum(axis=-1) == 1)).any(axis=0)
-    which, own = np.nonzero(new)
-    if not len(which):
+    alone = path.alone(calm)
+    which, own = np.nonzero((alone & (alone.cumsum(axis=-1) == 1)).any(axis=0))
+    known = rows[which], lengths[which, own], rates[:, which, 0], calm[:, which, own]
+    return _Starts(*known) if len(which) else None
+
+
+def _growing_from(path: StatePath, starts: _Starts | None) -> Iterator[_Line]:
+    """Yield the lines along which a deviation may grow, with rows along them."""
+    if starts is None:
         return
-    first, calm = begins[which], calm[:, which, own]
-    time = np.linspace(t[first], t[first] + lengths[which, own], _PLACES, axis=-1)
-    line = path.states[:, first, None] + rates[:, which] * (time - t[first, None])
-    states = np.where(calm[..., None], line, _between(path, time))
-    slopes = path.slopes(time.ravel(), states.reshape(len(x), -1))
+    begin = path.time[starts.rows]
+    time = np.linspace(begin, begin + starts.lengths, _PLACES, axis=-1)
+    line = path.states[:, starts.rows, None] + starts.rates[..., None] * (time - begin[:, None])
+    states = np.where(starts.calm[..., None], line, _between(path, time))
+    slopes = path.slopes(time.ravel(), states.reshape(len(states), -1))
     for k in np.flatnonzero(_may_grow(path, time, slopes)).tolist():
-        every = np.union1d(t, time[k])
+        every = np.union1d(path.time, time[k])
         rows = every.searchsorted(time[k, [0, -1]]).tolist()
-        yield replace(path, time=every, states=_between(path, every)), *rows, calm[:, k]
+        yield replace(path, time=every, states=_between(path, every)), *rows, starts.calm[:, k]
 
 
 def _between(path: StatePath, times: Vector) -> Vector:
@@ -336,7 +360,8 @@ def _exponent(t: Vector, slopes: Vector, end: Vector | float = -np.inf) -> Vecto
 def _growth_rates(slopes: Vector) -> Vector:
     """Return the largest real part of the eigenvalues at places, 1/s, (...)."""
     every = slopes.reshape(-1, *slopes.shape[-2:])
-    new = (np.diff(every, axis=0, prepend=np.inf) != 0).any(axis=(1, 2))  # the same at rest
+    changes = np.abs(np.diff(every, axis=0, prepend=np.inf)).max(axis=(1, 2))
+    new = changes > _SAME * np.abs(every).max(initial=0.0)  # few are, near a rest
     rates: Vector = np.linalg.eigvals(every[new]).real.max(axis=1)[new.cumsum() - 1]
     return rates.reshape(slopes.shape[:-2])
 

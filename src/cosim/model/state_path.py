@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from cosim.arrays import Integers, Truths, Vector
 
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
+_PLACES = 3  # of a path, where it is seen which states act on each other
+_WEAK = 1e-6  # share of the strongest influence on a state that is none
 
 Span = tuple[int, int, Truths]  # the rows between which states are lines in time, and which are
 
@@ -54,6 +57,26 @@ class StatePath:
         first = int(self.time.searchsorted(time))
         return replace(self, time=self.time[first:], states=self.states[:, first:])
 
+    @cached_property
+    def groups(self) -> list[Truths]:
+        """Of each state that may grow, the states on which it depends, and itself, (nx,).
+
+        Each set of states that depend on each other is there once. Weak influences are none.
+        """
+        rows = np.linspace(0, len(self.time) - 1, _PLACES).astype(int)
+        strengths = np.fmax.reduce(np.abs(self.slopes_at(np.unique(rows))), axis=0)
+        acts = strengths > _WEAK * strengths.max(axis=1, keepdims=True)
+        found, waiting = list[Truths](), self.grows.copy()
+        while waiting.any():
+            first = int(np.argmax(waiting))
+            found.append(_reached(acts, first))
+            waiting &= ~(found[-1] & _reached(acts.T, first))  # these depend on the same ones
+        return found
+
+    def alone(self, calm: Truths) -> Truths:
+        """Return which groups are lines, (g, ...), of which states are, (nx, ...)."""
+        return np.array([calm[group].all(axis=0) for group in self.groups])
+
     def slopes_at(self, rows: Integers) -> Vector:
         """Return the slopes at rows in nominal values, (m, nx, nx)."""
         missing = (row for row in dict.fromkeys(rows.tolist()) if row not in self._known)
@@ -95,20 +118,34 @@ class Bends(NamedTuple):
             before = np.hstack((slopes[:, 1:2], slopes[:, :-1]))
         return cls(rows, t, np.abs(x[:, 1:]), np.abs((slopes - before) * gaps))
 
-    def spans(self, relative: float, absolute: Vector, grows: Truths) -> list[Span]:
-        """Return the longest spans in which all states are lines, and in which some are."""
-        calm: Truths = self.bends <= relative * self.sizes + absolute[:, None]
-        growing = calm[grows]
-        if not growing.any():
+    def spans(self, relative: float, absolute: float, path: StatePath) -> list[Span]:
+        """Return the longest spans in which all states are lines, and in which some groups are.
+
+        Args:
+            relative, absolute: By how much lines bend, the absolute value in nominal values.
+            path: Of which these are the bends.
+        """
+        calm: Truths = self.bends <= relative * self.sizes + absolute * path.sizes[:, None]
+        if not calm[path.grows].any():
             return []
         rows, t = self.rows, self.time
         every = _longest(np.logical_and.reduce(calm), t)
-        some = {edges for own in growing for edges in _longest(own, t)}.difference(every)
+        some = {edges for own in path.alone(calm) for edges in _longest(own, t)}.difference(every)
         chosen = [*every, *sorted(some, key=lambda edges: t[edges[0]] - t[edges[1]])[:_MOST_SPANS]]
         return [
             (int(rows[first]), int(rows[last]), np.logical_and.reduce(calm[:, first:last], axis=1))
             for first, last in chosen
         ]
+
+
+def _reached(acts: Truths, i: int) -> Truths:
+    """Return a state and all on which it depends, (nx,), from which act on which, (nx, nx)."""
+    found: Truths = np.arange(len(acts)) == i
+    new = found
+    while new.any():
+        new = acts[new].any(axis=0) & ~found
+        found = found | new
+    return found
 
 
 def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:
