@@ -105,7 +105,40 @@ static inline bool stays_sharply(Stays *stays, void *motion, Quintic *step, cons
 /* Margins at the end of a fresh step from where the present one began; false where it fails. */
 typedef bool FreshStep(void *motion, double t, Place *found);
 
-typedef enum { CROSSES, TOUCHES, FAILS } Located;
+/* Where fresh steps jump beyond, as their errors do, they cross if the motion goes on there. */
+typedef enum { CROSSES, JUMPS_BEYOND, TOUCHES, FAILS } Located;
+
+/* A motion whose relations do not count from a touch on until they are within their modes again. */
+typedef struct {
+    LookAt *look;
+    Stays *stays;
+    FreshStep *fresh;
+    void *motion;
+    double until[GUARDS];
+} Past;
+
+static inline bool is_left_out(const Past *self, double t, int i) {
+    return t < self->until[i];
+}
+
+static inline void leave_out_touched(const Past *self, Place *place) {
+    for (int i = 0; i < MODES; ++i) {
+        if (!is_left_out(self, place->t, i)) continue;
+        place->inside[i] = NO_BOUNDARY;
+        place->rates[i] = 0;
+    }
+}
+
+static inline void look_past(void *past, double t, Place *found) {
+    const Past *self = past;
+    self->look(self->motion, t, found);
+    leave_out_touched(self, found);
+}
+
+static inline bool stays_past(void *past, const Place *a, const Place *b) {
+    const Past *self = past;
+    return self->stays(self->motion, a, b);
+}
 
 /* What rounding of the time makes of a margin at a place. */
 static inline double rounding_of_time(const Place *place, int i) {
@@ -114,10 +147,11 @@ static inline double rounding_of_time(const Place *place, int i) {
 
 /* The relation that crosses first, near a place: the one that was found, or one that is beyond. One
  * that is outside and comes back has crossed before all that are on their way out. */
-static inline int first_at(const Place *place, const Switching *s, int found) {
+static inline int first_at(const Past *past, const Place *place, const Switching *s, int found) {
     double least = INFINITY;
     int first = found;
     for (int i = 0; i < MODES; ++i) {
+        if (is_left_out(past, place->t, i)) continue;
         const double slack = slack_of(s, i), tiny = rounding_of_time(place, i);
         const double rate = place->rates[i], inside = place->inside[i] - slack;
         const bool beyond = inside < -tiny;
@@ -131,9 +165,10 @@ static inline int first_at(const Place *place, const Switching *s, int found) {
 
 /* Moves a crossing to the time at which fresh steps cross; where rounding leaves a choice, to the
  * far side, so that what has become true there is true by value. */
-static inline Located locate(FreshStep *fresh, void *motion, const Switching *s, double begin,
-                             double end, Crossing *crossing) {
-    Bounds bounds = {begin, end, end, -INFINITY, 0, 0, false};
+static inline Located locate(const Past *past, const Switching *s, double begin, double end,
+                             Crossing *crossing) {
+    Bounds bounds = {
+        fmax(begin, past->until[crossing->relation]), end, end, -INFINITY, 0, 0, false};
     double left = 0, ahead = 0; /* of the margin, and what rounding has made of it so far */
     bool rises = false;         /* a margin that does so is no end of a mode */
     bool passes = false;        /* but for rounding */
@@ -141,8 +176,8 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
     for (int n = 0; n < MOST_TRIALS_OF_A_TIME; ++n) {
         const double t = crossing->time;
         Place place;
-        if (!fresh(motion, t, &place)) return FAILS;
-        const int i = crossing->relation = first_at(&place, s, crossing->relation);
+        if (!past->fresh(past->motion, t, &place)) return FAILS;
+        const int i = crossing->relation = first_at(past, &place, s, crossing->relation);
         const double speed = fabs(place.rates[i]), slack = slack_of(s, i);
         left = place.inside[i] - slack;
         rises = place.rates[i] > 0;
@@ -158,22 +193,24 @@ static inline Located locate(FreshStep *fresh, void *motion, const Switching *s,
             continue;
         }
         if (!(left > 0 && left <= most) || beyond++ == MOST_BEYOND || t >= end) break;
-        crossing->time = fmin(t + 2 * ulp(t), end);
+        crossing->time = fmin(t + 2 * ulp(t), passes ? bounds.high : end);
     }
     const double slack = slack_of(s, crossing->relation), jump = bounds.within - left;
     const bool jumps = left < -JUMP * slack && jump > MOVED * slack;
     const bool goes = bounds.crosses || passes; /* what only approaches its boundary does neither */
-    return left <= ahead && goes && (!rises || jumps) ? CROSSES : TOUCHES;
+    if (!goes || (rises && !jumps)) return TOUCHES;
+    return left <= ahead ? CROSSES : JUMPS_BEYOND;
 }
 
-/* A place after a touch at which every relation is within its mode again; false if none is. */
-static inline bool inside_again(LookAt *look, void *motion, double touch, double end,
-                                Place *found) {
-    for (int k = 1; k <= PLACES; ++k) {
-        look(motion, k < PLACES ? touch + (end - touch) * k / PLACES : end, found);
-        if (outside(found) < 0) return true;
+/* When a relation that was touched at a time is within its mode again; infinite: not by the end. */
+static inline double inside_again(const Past *self, int relation, double touch, double end) {
+    for (int k = 1; touch < end && k <= PLACES; ++k) {
+        const double t = k < PLACES ? touch + (end - touch) * k / PLACES : end;
+        Place place;
+        self->look(self->motion, t, &place);
+        if (place.inside[relation] >= 0) return t;
     }
-    return false;
+    return INFINITY;
 }
 
 /* The first crossing after a place, up to a time, where fresh steps cross; relation -1: none. At
@@ -181,15 +218,23 @@ static inline bool inside_again(LookAt *look, void *motion, double touch, double
 static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh, void *motion,
                                     const Laws *laws, const Switching *s, double begin,
                                     Place before, double end, Beyond beyond, Crossing *found) {
+    Past past = {look, stays, fresh, motion, {0}};
     Place place;
-    for (int touches = 0; touches < PLACES; ++touches) {
-        int relation = crossing_between(look, stays, motion, before, end, &place);
+    for (int i = 0; i < GUARDS; ++i) past.until[i] = -INFINITY;
+    for (int touches = 0; touches < 2 * MODES; ++touches) { /* no more than two of each */
+        int relation = crossing_between(look_past, stays_past, &past, before, end, &place);
         if (relation < 0) relation = leaving_at(laws, s, &place, beyond);
         if (relation < 0) break;
         *found = (Crossing){place.t, relation, place.t};
-        const Located how = locate(fresh, motion, s, begin, end, found);
-        if (how != TOUCHES) return how;
-        if (!inside_again(look, motion, place.t, end, &before)) break;
+        const Located how = locate(&past, s, begin, end, found);
+        if (how == CROSSES || how == FAILS) return how;
+        look(motion, end, &before);
+        const int i = found->relation;
+        if (how == JUMPS_BEYOND && before.inside[i] < 0 && before.rates[i] < 0) return CROSSES;
+        const bool first = past.until[i] == -INFINITY;
+        past.until[i] = first ? inside_again(&past, i, place.t, end) : INFINITY;
+        before = place;
+        leave_out_touched(&past, &before);
     }
     *found = (Crossing){end, -1, end};
     return CROSSES;
