@@ -357,7 +357,7 @@ class _FreshRuns:
         """Return the margins at a time, and their rates, (m,)."""
         piece, k = self.piece, self.k
         begin = float(piece.times[k])
-        near = self._end is not None and abs(t - self._end[0]) <= _CLOSE * (t - begin)
+        near = self._end is not None and abs(t - self._end[0]) < _CLOSE * (t - begin)
         found = None if near else piece.state_at(k, t)
         x, z = found or self._on_cubic(t)
         seen = piece.watched(np.array([t]), x[None], z[None])
