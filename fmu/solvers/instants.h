@@ -246,6 +246,7 @@ SHARED long long cosim_search(Call *call, const MotionRows *rows, FreshRun *run,
     Place before, place;
     Crossing found;
     open_kernel(&self, call);
+    if (run) note_slack(&self.laws, self.switching, &(Point){begin, rows->x, self.at.z, self.at.u});
     look_on_cubic(&cubic, begin, &before);
     if (run) {
         find_crossing(look_on_cubic, stays_on_cubic, run_to, &cubic, &self.laws, self.switching,

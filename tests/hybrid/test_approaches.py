@@ -65,6 +65,65 @@ def test_what_approaches_at_many_rates_crosses_in_no_native_run(engine):
     assert_only_approached(engine, (0.6, 1.4, 2.8, 7.3), (1e-3, 1.0, 1e4), ("above",))
 
 
+@cache
+def overdamped():
+    """Return a motion to its level without overshoot, and how often it is above, or below."""
+    model = cosim.Model("overdamped", stop_time=40.0, output_interval=0.4)
+    a, b = (model.parameter(name, "1/s", 1.0, "rate") for name in "ab")
+    level = model.parameter("level", "1", 1.0, "limit of x")
+    x, v = model.state("x", "1", 0.0, "place"), model.state("v", "1/s", 0.0, "speed")
+    model.derivative(x, v)
+    model.derivative(v, -(a + b) * v - a * b * (x - level))
+    for name, law in {"above": x > level, "reached": x >= level, "below": x < level}.items():
+        times = model.discrete(name, "1", 0.0, "how often")
+        model.when(law, {times: times + 1})
+    return model.freeze()
+
+
+@pytest.mark.parametrize(
+    ("engine", "a", "ratio", "level"),
+    [
+        ("rosenbrock", 6.5256767860084235, 2.0, 368.8918138916971),
+        ("fmu2 cs c", 9.442477103566679, 1.1, -71.47159701482497),
+    ],
+)
+def test_noise_that_decays_before_it_is_beyond_rounding_does_not_cross(engine, a, ratio, level):
+    values = {"a": a, "b": a * ratio, "level": level}
+    final = run_on(engine, overdamped(), start_values=values).final
+    assert not any(final[name] for name in ("above", "reached", "below"))
+
+
+@cache
+def approaching_beside_a_line():
+    """Return x = level (1 - exp(-k t)) and y = level t / due, and how often both are above it."""
+    model = cosim.Model("beside", stop_time=60.0, output_interval=0.6)
+    k, due = model.parameter("k", "1/s", 1.0, "rate"), model.parameter("due", "s", 45.0, "time")
+    level = model.parameter("level", "1", 1.0, "limit of x")
+    x, y = model.state("x", "1", 0.0, "argument"), model.state("y", "1", 0.0, "line")
+    model.derivative(x, k * (level - x))
+    model.derivative(y, level / due)
+    laws = {"x_above": x > level, "x_reached": x >= level, "y_above": y > level, "first": y > x}
+    for name, law in laws.items():
+        times = model.discrete(name, "1", 0.0, "how often")
+        model.when(law, {times: times + 1}, name=name)
+    return model.freeze()
+
+
+@pytest.mark.parametrize(
+    ("engine", "k", "due", "level"),
+    [
+        ("dop853", 1.0, 45.0, 1.0),
+        ("cvodes", 1.0, 45.0, 100.0),
+    ],
+)
+def test_what_is_approached_does_not_cross_where_another_relation_does(engine, k, due, level):
+    values = {"k": k, "due": due, "level": level}
+    run = run_on(engine, approaching_beside_a_line(), start_values=values)
+    assert run.final["x_above"] == run.final["x_reached"] == 0
+    (time,) = (event.time for event in run.events if event.name == "y_above")
+    assert time == pytest.approx(due, abs=1e-6)
+
+
 @pytest.mark.slow
 def test_a_run_in_which_noise_leaves_a_boundary_again_and_again_ends():
     """The fast one of two decays turns the slow one back at once: no event, and no endless loop."""

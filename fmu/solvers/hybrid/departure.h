@@ -75,12 +75,13 @@ static inline bool seems_to_rest(const Switching *s, const Seen *seen, int i) {
     return motion_of(seen, i) <= rounding_of_rate(s, seen, i);
 }
 
-/* Whether rounding decays: it has a second derivative, too, which does not turn the first one. */
+/* Whether a motion decays before it is beyond rounding: its second derivative takes the first one
+ * away, and does not turn it. */
 static inline bool decays(const Laws *laws, const Switching *s, const Point *from, const Seen *seen,
                           int i) {
     const double rate = seen->rates[i], second = seen->seconds[i];
     Seen later;
-    return rate * second < 0 && fabs(rate) <= rounding_of_rate(s, seen, i) &&
+    return rate * second < 0 && rate * rate <= 2 * fabs(second) * s->slack[i] &&
            look_after(laws, s, from, seen, -FURTHER * rate / second, &later) &&
            !(fabs(later.rates[i]) > fabs(rate) && later.rates[i] * second > 0);
 }
@@ -110,7 +111,7 @@ static inline void look_ahead(const Laws *laws, const Switching *s, const Point 
         const bool at_boundary = zero[i] || value == (laws->relations[i].floor ? round(value) : 0);
         const bool moves = laws->relations[i].of_time || s->state[i] == SLIDES;
         if (!at_boundary || moves) continue;
-        if (decays(laws, s, from, seen, i)) seen->seconds[i] = 0;
+        if (decays(laws, s, from, seen, i)) seen->rates[i] = seen->seconds[i] = 0;
         open[i] = seems_to_rest(s, seen, i);
         any |= open[i];
     }

@@ -116,12 +116,11 @@ static inline void samples_at(const Laws *laws, const Switching *s, const Point 
 /* Arguments that rest where a search has found a crossing, and nothing else is known to happen,
  * have only approached their boundary: their modes are held. */
 static inline void note_approaches(const Laws *laws, Switching *s, const Point *at,
-                                   const double inside[], const bool zero[], Seen *seen) {
+                                   const bool zero[], Seen *seen) {
     look_ahead(laws, s, at, zero, seen);
     for (int i = 0; i < MODES; i++) {
-        const bool near = fabs(inside[i] - s->slack[i]) <= s->slack[i];
         const bool other = laws->relations[i].of_time || s->state[i] == SLIDES;
-        if (zero[i] && near && !other && rests_on(s, seen, i)) s->state[i] = HELD;
+        if (zero[i] && !other && rests_on(s, seen, i)) s->state[i] = HELD;
     }
 }
 
@@ -165,7 +164,9 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
         } else {
             const double speed = fabs(rates[i]) * scale, gap = inside[i] - s->slack[i];
             const double ahead = fmax(LOCATED * speed, -rates[i] * wait);
-            const bool crossed = gap <= ahead && gap >= -late * speed - 2 * s->slack[i];
+            /* what is beyond and comes back was only touched, within the error of a solver */
+            const double error = (rates[i] > 0 && !laws->blind ? MOVED : 2) * s->slack[i];
+            const bool crossed = gap <= ahead && gap >= -late * speed - error;
             /* where rates of inputs are unknown, an argument that has passed its boundary against
              * the known rate has been moved there, and its value decides */
             const double past = past_boundary(laws, s, &seen, i);
@@ -182,7 +183,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
         }
     }
     if (laws->blind) s->rounded += fmin(missed / scale, SAME_TIME) / DBL_EPSILON;
-    if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, inside, zero, &seen);
+    if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, zero, &seen);
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }

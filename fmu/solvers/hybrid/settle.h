@@ -243,12 +243,13 @@ static inline bool change_one(const Laws *laws, Switching *s, const Point *at, c
     return true;
 }
 
-/* Whether an argument that became 0 came to rest beyond it, where its value decides. */
+/* Whether an argument that became 0 came to rest beyond it, where its value decides, and does not
+ * come back. */
 static inline bool rests_beyond(const Laws *laws, const Switching *s, const Point *at,
                                 const Seen *seen, int i) {
     if (laws->relations[i].floor || s->state[i] == SLIDES) return false;
     const double past = modes_of(at)[i] * past_boundary(laws, s, seen, i);
-    return seems_to_rest(s, seen, i) && past < -s->slack[i];
+    return seems_to_rest(s, seen, i) && past < -s->slack[i] && !decays(laws, s, at, seen, i);
 }
 
 /* Notes what is 0 where modes are settled, and whether it stays so by definition. */
@@ -293,9 +294,9 @@ static inline Ending settle(const Laws *laws, Switching *s, const Point *at, boo
     for (int trial = 0; trial < MOST_ROUNDS; trial++) {
         if (!look_or_release(laws, s, at, zero, &seen)) return ending(NO_VALUE, -1);
         note_slack(laws, s, at);
-        look_ahead(laws, s, at, zero, &seen);
         for (int i = 0; i < MODES && trial == 0; i++)
             if (zero[i] && rests_beyond(laws, s, at, &seen, i)) zero[i] = false;
+        look_ahead(laws, s, at, zero, &seen);
         if (trial > 0) note_jumps(s, &before, &seen, zero);
         if (moved) note_passing(laws, s, at, &seen, moved, zero);
         before = seen;
