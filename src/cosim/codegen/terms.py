@@ -97,13 +97,25 @@ def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float = 
         begin, end: Times of the run, s.
         longest: Longest step of the solver, s; 0 for a part of the run.
     """
-    terms = _of_time(dae)
+    found = _pulses(dae, p, begin, end, longest)
+    times = np.unique(np.concatenate([np.empty(0), *found]))
+    return np.asarray(times[(begin < times) & (times < end)])
+
+
+def pulse_within_a_step(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> bool:
+    """Return whether a whole pulse may lie within a step of a solver; see `pulse_times`."""
+    within = (np.clip(own, begin, end) for own in _pulses(dae, p, begin, end, longest))
+    return any(0 < np.ptp(own) < longest for own in within)
+
+
+def _pulses(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> list[Vector]:
+    """Return `pulse_times` of each pulse, also beyond the run."""
+    terms, found = _of_time(dae), list[Vector]()
     if terms is None or not end > begin:
-        return np.empty(0)
+        return found
     longest = longest or (end - begin) / _STEPS
     count = int(np.clip(np.ceil(_IN_STEP * (end - begin) / longest), 1, _MOST_CELLS))
     cells = np.linspace(begin, end, count + 1)
-    found = [np.empty(0)]
     for i in range(len(terms.bounded)):
         values = terms.value(i, p)
         for edges in bent_parts(values, terms.off(i, p), cells, np.empty(0)):
@@ -112,15 +124,7 @@ def pulse_times(dae: Dae, p: Vector, begin: float, end: float, longest: float = 
             t = with_surroundings(edges, _INNER)
             seen = values(t)
             found.append(parted(t, seen, float(np.ptp(seen))))
-    times = np.unique(np.concatenate(found))
-    return np.asarray(times[(begin < times) & (times < end)])
-
-
-def pulse_within_a_step(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> bool:
-    """Return whether a whole pulse may lie within a step of a solver; see `pulse_times`."""
-    times = pulse_times(dae, p, begin, end, longest)
-    pulses = np.split(times, np.flatnonzero(np.diff(times) > longest) + 1)
-    return any(0 < np.ptp(pulse) < longest for pulse in pulses if len(pulse))
+    return found
 
 
 def pulse_parameters(dae: Dae) -> tuple[str, ...]:

@@ -428,3 +428,12 @@ def test_a_start_without_derivative_is_told_as_in_a_single_run(on_invalid, state
             cosim.simulate(dae, start_values={"end": ends[i]}, on_invalid=on_invalid)
         assert len(raised.value.partial["x"]) == rows
         assert many.invalid[i] == "invalid from 0 s: not fulfilled: x is before the end"
+
+
+def test_lanes_step_over_no_pulses_that_are_many():
+    t, y = ca.SX.sym("t"), ca.SX.sym("y")
+    pulses = ca.exp(-((ca.sin(40 * t) / 1e-3) ** 2))
+    dae = cosim.from_casadi({"t": t, "x": y, "ode": pulses}, stop_time=1, output_interval=0.1)
+    many = cosim.simulate_many(dae, {"y": [0.0, 0.0]}, solver="dop853")
+    right = 12.5 * np.sqrt(np.pi) * 1e-3 / 40
+    np.testing.assert_allclose(many["y"][:, -1], right, rtol=1e-3)  # before: 5e-4
