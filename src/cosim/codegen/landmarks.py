@@ -5,7 +5,6 @@ which a term of one state changes is a relation, whose sign changes there: a sol
 events starts anew at these places, with steps from one to the next.
 """
 
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -37,6 +36,7 @@ from cosim.codegen.changes import (
     unseen,
     with_surroundings,
 )
+from cosim.codegen.knots import knots_of
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
@@ -49,8 +49,6 @@ _NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step 
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
 _SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
-# the knots of a table of one variable in CasADi's C code
-_GRID = r"(?:casadi_interpn|CASADI_PREFIX\(nd_boor_eval\))\([^;{]*?,\s*1,\s*(casadi_c\d+)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,24 +432,3 @@ def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
     line = [term.variable, ca.jacobian(term.variable, symbol)]
     value, slope = ca.Function("line", [symbol, dae.p], line)(0, p)
     return np.asarray((places - float(value)) / float(slope))
-
-
-def knots_of(term: InnerTerm) -> Vector:
-    """Return the knots of the tables of a term in its variable; empty if they are unknown."""
-    found = list[Vector]()
-    for table, argument in term.tables:
-        generator = ca.CodeGenerator("table")
-        try:
-            generator.add(table)
-            code = generator.dump()
-        except RuntimeError:  # of an external function, which may hold a table, too
-            return np.empty(0)
-        grids = re.findall(_GRID, code)
-        if len(grids) != 1:
-            return np.empty(0)
-        (numbers,) = re.findall(rf"{grids[0]}\[\d+\] = *\n* *{{([^}}]*)}}", code)
-        line = [argument, ca.jacobian(argument, term.symbol)]
-        value, slope = ca.Function("line", [term.symbol], line)(0)
-        knots = np.array([float(number) for number in numbers.split(",")])
-        found.append((knots - float(value)) / float(slope))
-    return np.unique(np.concatenate([np.empty(0), *found]))

@@ -15,7 +15,8 @@ from casadi_models.dae import Dae
 from casadi_models.dae.single_terms import single_terms
 from cosim.arrays import Vector
 from cosim.codegen.changes import apart, bent_parts, with_surroundings
-from cosim.codegen.landmarks import knots_of, way_of
+from cosim.codegen.knots import knots_of
+from cosim.codegen.landmarks import way_of
 from cosim.codegen.terms import Terms, terms_of
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.motion import Motion, Path
