@@ -219,16 +219,15 @@ def _spans(
         if all(operand.stays for operand in operands):
             return _constant(applied(code, [operand.low for operand in operands]))
         if code == ca.OP_HYPOT:
-            squares = [operation(side, ca.OP_SQ, [operand]) for operand in operands]
-            return operation(side, ca.OP_SQRT, [operation(side, ca.OP_ADD, squares)])
+            squares = [_operated(ca.OP_SQ, [operand]) for operand in operands]
+            return _operated(ca.OP_SQRT, [_operated(ca.OP_ADD, squares)])
         if code == ca.OP_ATAN2:
             y, x = map(_within_terms, operands)
             jumps.append(ca.logic_and(ca.logic_and(y.low < 0, y.high >= 0), x.low < 0))
             return _angle(y, x, jumps[-1], side if len(jumps) == 1 else 0)
-        terms = _polynomial(code, operands)
-        if terms is None:
-            return _result(code, [_within_terms(operand) for operand in operands])
-        return _result(code, operands)._replace(terms=terms)
+        if code == ca.OP_IF_ELSE_ZERO:
+            jumps.append(operands[0].low != operands[0].high)
+        return _operated(code, operands)
 
     def on(side: int) -> list[_Span]:
         jumps.clear()
@@ -245,6 +244,14 @@ def _spans(
         known = ca.if_else(jump, SX.nan(), 1)
         slopes = [_Span(known * s.low, known * s.high, False) for s in slopes]
     return [found, *slopes]
+
+
+def _operated(code: int, operands: Sequence[_Span]) -> _Span:
+    """Return the span of an operation, and its polynomial if it is one."""
+    terms = _polynomial(code, operands)
+    if terms is None:
+        return _result(code, [_within_terms(operand) for operand in operands])
+    return _result(code, operands)._replace(terms=terms)
 
 
 def _polynomial(code: int, operands: Sequence[_Span]) -> _Polynomial | None:
@@ -409,10 +416,10 @@ def _hyperbolic_cosine(a: _Span, b: _Span) -> _Span:
 
 
 def _chosen(condition: _Span, a: _Span) -> _Span:
-    if not condition.stays:
-        raise _UnknownError
-    low, high = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.low, end) for end in (a.low, a.high))
-    return _Span(low, high, False)
+    """Return the span of an operand where a condition holds, and of 0 where it does not."""
+    low, high = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.high, end) for end in (a.low, a.high))
+    low = ca.if_else(condition.low, low, ca.fmin(low, 0))
+    return _Span(low, ca.if_else(condition.low, high, ca.fmax(high, 0)), False)
 
 
 _RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of the first and last
@@ -432,4 +439,9 @@ _RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of 
     ca.OP_ACOS: lambda a, b: _Span(ca.acos(a.high), ca.acos(a.low), False),
     ca.OP_COSH: _hyperbolic_cosine,
     ca.OP_IF_ELSE_ZERO: _chosen,
+    ca.OP_LT: lambda a, b: _Span(a.high < b.low, a.low < b.high, False),
+    ca.OP_LE: lambda a, b: _Span(a.high <= b.low, a.low <= b.high, False),
+    ca.OP_AND: lambda a, b: _Span(ca.logic_and(a.low, b.low), ca.logic_and(a.high, b.high), False),
+    ca.OP_OR: lambda a, b: _Span(ca.logic_or(a.low, b.low), ca.logic_or(a.high, b.high), False),
+    ca.OP_NOT: lambda a, _: _Span(ca.logic_not(a.high), ca.logic_not(a.low), False),
 }

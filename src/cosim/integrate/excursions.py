@@ -23,6 +23,7 @@ from cosim.integrate.motion import Path
 from cosim.memo import cached_per_thread
 
 _PARTS = 4  # of an average step, at whose ends a term is seen by every step
+_ROUNDING = 1e-14  # relative distance of times that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +83,12 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
     nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
     bend = _bend(path, nodes)
     pads = np.maximum(bend[:, :-1], bend[:, 1:])
+    jumps = path.time[1:][np.diff(path.time) == 0]  # a mode that jumps there passes over nothing
     return [
         (term, edges)
         for term in range(len(terms.names))
         for edges in _of_term(terms, term, path, p, nodes, pads)
+        if len(edges) > 1 or not np.isclose(edges, jumps, rtol=_ROUNDING, atol=0).any()
     ]
 
 
