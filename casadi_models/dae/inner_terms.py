@@ -81,9 +81,10 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
     columns = dae.x, dae.t, dae.z, dae.u
     moving = [symbol for column in columns for symbol in ca.vertsplit(column)]
-    moving = moving[: len(moving) - mode_count(dae)]  # a mode does not move: it jumps
+    jumping = modes_of(dae)  # which do not move
+    moving = moving[: len(moving) - jumping.numel()]
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
-    known, found = {*places, *symbols(dae.p)}, list[SeveralInner]()
+    known, found = {*places, *symbols(dae.p), *symbols(jumping)}, list[SeveralInner]()
     resting, inverse = map(ca.vertsplit, several_terms(dae))
     for i, term in enumerate((*resting, *inverse)):
         own = symbols(term)
@@ -97,8 +98,13 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
             (mover,) = symbols(variable).keys() & places.keys()
             each.append(InnerTerm((places[mover],), variable, symbol, node.form, given, ()))
         every = tuple(places[symbol.element_hash()] for symbol in movers)
-        alone = tuple(_alone(dae, every, ca.vertcat(*movers), term))
-        ordered = tuple(sorted(each, key=lambda term: term.movers))
+        alone, ordered = (
+            tuple(own for own in terms if not ca.depends_on(own.value, jumping))
+            for terms in (
+                _alone(dae, every, ca.vertcat(*movers), term),
+                sorted(each, key=lambda term: term.movers),
+            )
+        )
         found.append(SeveralInner(ordered, alone, i >= len(resting), term))
     return found
 
@@ -129,6 +135,11 @@ def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[
         if not ca.depends_on(forms[nodes[-1][0]], movers):
             for found in _inner(dae, places, symbol, forms[nodes[-1][0]]):
                 yield found._replace(variable=ca.substitute(found.variable, symbol, value))
+
+
+def modes_of(dae: Dae) -> SX:
+    """Return the modes among the inputs, (n, 1)."""
+    return dae.u[dae.u.numel() - mode_count(dae) :]
 
 
 def parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:
@@ -191,7 +202,7 @@ def _combined(
     )  # fmt: skip
     forms = [o.form for o in operands]
     if linear and len(movers) == 1 and movers[0].is_line:
-        if not others or not ca.depends_on(ca.vertcat(*others), dae.p):
+        if not others or not ca.depends_on(ca.vertcat(*others), ca.vertcat(dae.p, modes_of(dae))):
             return _Node(code, applied(code, forms), roots, True, operands)
         variables.append((value, SX.sym("c")))
         return _Node(code, variables[-1][1], frozenset([len(variables) - 1]), True, ())

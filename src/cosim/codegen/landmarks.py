@@ -21,6 +21,7 @@ from casadi_models.dae.inner_terms import (
     inner_terms,
     inner_terms_of_several,
     is_table,
+    modes_of,
     parameters_of,
 )
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
@@ -40,6 +41,7 @@ from cosim.codegen.knots import knots_of
 from cosim.memo import cached_per_thread
 
 _FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
+_REACH = np.array([-_FARTHEST, _FARTHEST])
 _BEYOND = np.array([1e9, 1e12, 1e15])  # where the search of a term goes on that rests there
 _ANYWHERE = 1e20  # of the others meanwhile: as if they had no end, but for their powers
 _SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
@@ -47,6 +49,9 @@ _SEEN = 0.5  # least difference of a term before and after its change, as a shar
 _INNER = 64  # samples of a part of a change
 _NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step sees
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
+_LEAST_SIZE, _GREATEST_SIZE = 1e-12, 1e30  # of a term that grows, where its places are
+_GROWTH = 28.0  # of its logarithm, at which most of them are
+_SUDDEN = 0.02  # share of the size of what moves a term, in which it may turn within a step
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
 _SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
 
@@ -146,7 +151,7 @@ def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
         of_tables = term.tables and all(is_table(function) for function, _ in term.tables)
         if of_tables and not len(knots_of(term)):
             unknown.update(term.movers)
-        found += _changes(dae, term, p) or _changes_in_waves(dae, term, p)
+        found += _changes(dae, term, p) or _changes_in_waves(dae, term, p) or _growing(dae, term, p)
     return found, unknown
 
 
@@ -171,6 +176,8 @@ def _has_fixed_times(dae: Dae, change: _Change) -> bool:
     term = change.term
     if term.movers != (len(dae.states),) or ca.depends_on(dae.driving_outputs, dae.t):
         return False
+    if ca.depends_on(term.variable, modes_of(dae)):
+        return False
     return bool(term.given) or not ca.depends_on(term.variable, dae.p)
 
 
@@ -180,7 +187,11 @@ def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Chan
     A place is left out that is nearer to another one than half of the way to its own neighbor.
     Those that follow parameters remain before those that do not.
     """
-    if any(len(change.term.movers) > 1 or change.is_wave for change in changes):
+    modes = modes_of(dae)
+    if any(
+        len(c.term.movers) > 1 or c.is_wave or ca.depends_on(c.term.variable, modes)
+        for c in changes
+    ):
         return changes
     every, found = np.empty(0), list[_Change]()
     for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
@@ -203,9 +214,9 @@ def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
     return tuple(np.round(found / found[np.argmax(np.abs(found))], 9).tolist())
 
 
-def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+def _changes(dae: Dae, term: InnerTerm, p: Vector, near: Vector = _REACH) -> list[_Change]:
     """Return where a term changes on the way of its variable, and rests before and after."""
-    near, knots = np.array([-_FARTHEST, _FARTHEST]), knots_of(term)
+    knots = knots_of(term)
     values, found = _bent(dae, term, knots, p, near)
     far = np.concatenate((-_BEYOND[::-1], near, _BEYOND))
     ends = values(far)
@@ -223,6 +234,49 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
     if len(found.pinched):  # narrower than the search goes
         changes.append(_Change(term, found.pinched, is_step=False, is_whole=False))
     return changes
+
+
+def _growing(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
+    """Return where a term that grows beyond all numbers may act, if it does so suddenly.
+
+    Wherever what moves it turns, it returns: no step sees it as one of a slope. Its places divide
+    about its logarithm alike, whatever its unit and its factor are.
+    """
+    value = ca.Function("value", [term.symbol, dae.p], [term.value])
+
+    def is_beyond(at: Vector) -> Truths:
+        seen = np.abs(np.array(value(at.reshape(1, -1), p)).reshape(at.shape))
+        return np.asarray(seen > _GREATEST_SIZE)
+
+    reach = np.clip(_reach(dae, term, p), *_REACH)
+    grows = is_beyond(reach)
+    if not grows.any():
+        return []
+    inwards = 8 * np.spacing(_FARTHEST) * np.array([1, -1])
+    reach[grows] = _last_flat(is_beyond, reach[grows]) + inwards[grows]
+    scale = ca.tanh(ca.asinh(term.value / _LEAST_SIZE) / _GROWTH)
+    bounded, rests = term._replace(value=scale), reach.mean() if grows.all() else reach[~grows]
+    every = (_changes(dae, bounded, p, np.sort(np.append(end, rests))) for end in reach[grows])
+    return [
+        replace(change, term=term, places=change.places[::2], is_step=False)
+        for changes in every
+        for change in changes
+        if _is_sudden(dae, term, change.places[len(change.places) // 2 :][:3], p)
+    ]
+
+
+def _is_sudden(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> bool:
+    """Return whether places are in a small part of the way of a variable, which may turn there."""
+    if term.movers == (len(dae.states),):  # time does not turn
+        return False
+    moving, others = ca.vertcat(dae.x, dae.t, dae.z, dae.u), (*dae.algebraics, *dae.inputs)
+    sizes = [*(v.nominal for v in dae.states), dae.experiment.stop_time]
+    sizes += [v.nominal for v in others]
+    slopes = ca.fabs(ca.jacobian(term.variable, moving))
+    line = ca.Function("line", [moving, dae.p], [term.variable, slopes @ ca.DM(sizes)])
+    first, (_, way) = float(line(0, p)[0]), map(float, line(sizes, p))
+    size = np.nanmax(np.abs([first, way, *places[[0, -1]]]))
+    return bool(np.ptp(places) <= _SUDDEN * size)
 
 
 def _changes_in_waves(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
@@ -318,8 +372,11 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
         return found
     if not found and (peak := _around_peak(dae, several, p)):
         return peak
-    beyond = _between_rests(dae, several, p)
-    return found + (beyond or []) if found else beyond
+    beyond = _between_rests(dae, several, p) if several.each else []  # others: modes change it
+    if found or beyond:
+        return found + (beyond or [])
+    grows = (_growing(dae, term, p) for term in several.alone)
+    return next(filter(None, grows), beyond)
 
 
 def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
@@ -345,7 +402,7 @@ def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] 
         low, high = (np.array(end).ravel() for end in bounds(least, most, p))
         return np.asarray(high - low)
 
-    begins = np.tile([-_FARTHEST, _FARTHEST], len(terms))
+    begins = np.tile(_REACH, len(terms))
     rows = np.arange(len(begins)) // 2
     size = float(ranges(rows[:1], begins[:1], -begins[:1])[0])
     if not np.isfinite(size):
@@ -380,7 +437,7 @@ def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
     That is within an ellipsoid about the peak, outside of which it is below FLAT of its greatest
     value. Parameters may move the peak, and change its widths.
     """
-    if several.value.op() != ca.OP_EXP:
+    if several.value.op() != ca.OP_EXP or not several.each:
         return []
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     places = sorted({mover for term in several.each for mover in term.movers})

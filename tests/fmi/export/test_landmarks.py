@@ -258,7 +258,9 @@ def test_plane_friction_is_not_looked_at():
     assert (landmarks(dae).arguments.numel(), landmarks(dae).passed) == (0, ())
 
 
-@pytest.mark.parametrize("form", [lambda c, d: ca.tanh(c - d), lambda c, d: ca.exp(c - d)])
+@pytest.mark.parametrize(
+    "form", [lambda c, d: ca.tanh(c - d), lambda c, d: ca.exp(WIDTH * (c - d))]
+)
 def test_slopes_of_two_states_have_no_places(form):
     found = landmarks(on_hill(form))
     assert (found.arguments.numel(), found.passed) == (0, ())
