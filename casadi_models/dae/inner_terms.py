@@ -22,7 +22,8 @@ class InnerTerm(NamedTuple):
     Attributes:
         movers: The positions of the states that move it; after them are those of time, of the
             algebraic unknowns and of the inputs.
-        variable: Linear in the only one, or of several; of `dae.x`, `dae.t` and `dae.p`.
+        variable: Linear in the only one, of several, or what a table is of; of `dae.x`, `dae.t`,
+            `dae.p` and modes.
         symbol: What stands for it in `value`.
         value: The term, but for a factor; of the symbol and, if `given`, of `dae.p`.
         given: Positions of the parameters that change the value at a variable.
@@ -208,6 +209,10 @@ def _combined(
         return _Node(code, variables[-1][1], frozenset([len(variables) - 1]), True, ())
     if code == ca.OP_CALL:
         function = value.which_function()
+        if movers == [*operands] and not movers[0].is_line and is_table(function):
+            variables.append((value.dep(0), SX.sym("c")))  # in which it has its knots
+            forms, roots = [variables[-1][1]], frozenset([len(variables) - 1])
+            operands = (_Node(code, forms[0], roots, True, ()),)
         rows = called(function, forms)
         form = rows[0] if len(rows) == 1 else SX.nan()  # CasADi does not tell which of several
         return _Node(code, form, roots, False, operands, function)

@@ -176,7 +176,7 @@ def _has_fixed_times(dae: Dae, change: _Change) -> bool:
     term = change.term
     if term.movers != (len(dae.states),) or ca.depends_on(dae.driving_outputs, dae.t):
         return False
-    if ca.depends_on(term.variable, modes_of(dae)):
+    if not is_line(dae, term):
         return False
     return bool(term.given) or not ca.depends_on(term.variable, dae.p)
 
@@ -187,11 +187,7 @@ def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Chan
     A place is left out that is nearer to another one than half of the way to its own neighbor.
     Those that follow parameters remain before those that do not.
     """
-    modes = modes_of(dae)
-    if any(
-        len(c.term.movers) > 1 or c.is_wave or ca.depends_on(c.term.variable, modes)
-        for c in changes
-    ):
+    if not all(is_line(dae, change.term) for change in changes):
         return changes
     every, found = np.empty(0), list[_Change]()
     for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
@@ -482,8 +478,15 @@ def _depends(dae: Dae, expression: SX) -> list[str]:
     return [dae.parameters[i].name for i in parameters_of(dae, expression)]
 
 
+def is_line(dae: Dae, term: InnerTerm) -> bool:
+    """Return whether the variable of a term is linear in the only quantity that moves it."""
+    symbols = ca.vertcat(dae.x, dae.t, dae.z, dae.u)[list(term.movers)]
+    is_fixed = not ca.depends_on(term.variable, modes_of(dae))
+    return is_fixed and len(term.movers) == 1 and bool(ca.is_linear(term.variable, symbols))
+
+
 def way_of(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> Vector:
-    """Return the values of what moves a term at values of its variable."""
+    """Return the values of what moves a term at values of its variable, which is a line."""
     (mover,) = term.movers
     symbol = ca.vertcat(dae.x, dae.t, dae.z, dae.u)[mover]
     line = [term.variable, ca.jacobian(term.variable, symbol)]

@@ -9,14 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import casadi as ca
 import numpy as np
 
 from casadi_models.dae import Dae
+from casadi_models.dae.inner_terms import InnerTerm
 from casadi_models.dae.single_terms import single_terms
 from cosim.arrays import Vector
 from cosim.codegen.changes import apart, bent_parts, with_surroundings
 from cosim.codegen.knots import knots_of
-from cosim.codegen.landmarks import way_of
+from cosim.codegen.landmarks import is_line, way_of
 from cosim.codegen.terms import Terms, terms_of
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.motion import Motion, Path
@@ -27,6 +29,7 @@ _BEYOND = 0.05  # of a way, by which rows may miss its ends ...
 _LARGER = 20.0  # ... where the range of a term may be so much larger that none seems to change
 _MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
+_CORRECTIONS = 4  # of the place of a knot between edges
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 
 
@@ -127,7 +130,8 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
         return []
     low, high = float(x.min()) - _BEYOND * way, float(x.max()) + _BEYOND * way
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
-    edges, knots = np.linspace(low, high, count + 1), _knots(dae, terms, p)
+    edges = np.linspace(low, high, count + 1)
+    knots = _knots(dae, terms, p, edges)
     reached, found = np.unique(np.clip(edges, x.min(), x.max())), list[tuple[int, Vector]]()
     for term in range(len(terms.bounded)):
         values, off, is_table = terms.value(term, p), terms.off(term, p), terms.alone[term]
@@ -138,10 +142,30 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
     return found
 
 
-def _knots(dae: Dae, terms: Terms, p: Vector) -> Vector:
-    """Return where tables of what moves have their knots."""
-    own = (way_of(dae, term, knots_of(term), p) for term in terms.tables)
-    return np.unique(np.concatenate([np.empty(0), *own]))
+def _knots(dae: Dae, terms: Terms, p: Vector, edges: Vector) -> Vector:
+    """Return where tables of what moves have their knots; within edges, if they are of no line."""
+    found = [np.empty(0)]
+    for term in terms.tables:
+        if is_line(dae, term):
+            found.append(way_of(dae, term, knots_of(term), p))
+        else:
+            found.append(_reached(dae, term, p, knots_of(term), edges))
+    return np.unique(np.concatenate(found))
+
+
+def _reached(dae: Dae, term: InnerTerm, p: Vector, values: Vector, edges: Vector) -> Vector:
+    """Return where between edges a variable that is no line has some ascending values."""
+    symbol = ca.vertcat(dae.x, dae.t)[term.movers[0]]
+    variable = ca.Function("variable", [symbol, dae.p], [term.variable])
+    own = np.array(variable(edges[None], p)).ravel()
+    first, last = (values.searchsorted(end(own[:-1], own[1:])) for end in (np.fmin, np.fmax))
+    cells = np.repeat(np.arange(len(first)), last - first)
+    goals = np.concatenate([values[i:j] for i, j in zip(first, last, strict=True)])
+    paces = (np.diff(edges) / np.diff(own))[cells]
+    at = edges[cells] + (goals - own[cells]) * paces
+    for _ in range(_CORRECTIONS if len(at) else 0):
+        at += (goals - np.array(variable(at[None], p)).ravel()) * paces
+    return at
 
 
 def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:
@@ -196,7 +220,8 @@ def finer_than_steps(motion: Motion, inputs: InputSeries | None) -> str:
             return f"steps pass over rows of {', '.join(inputs.names)}"
     path = Path.of(motion)
     for terms in terms_of(motion.dae):
-        x, knots = _moved(terms, path), _knots(motion.dae, terms, motion.p)
+        x = _moved(terms, path)
+        knots = _knots(motion.dae, terms, motion.p, np.unique(x))
         if ((x.min() < knots) & (knots < x.max())).sum() > step_count(motion):
             return f"steps pass over knots of a table of {_moving(motion.dae)[terms.moving]}"
     return ""

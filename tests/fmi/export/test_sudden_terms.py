@@ -107,3 +107,30 @@ def test_nothing_steps_over_a_bump_that_relations_shift(shape, tmp_path):
     for interface in INTERFACES:
         run = cosim.simulate_fmu(path, interface=interface)
         assert run.final["y"] == pytest.approx(right, rel=1e-3)  # before: 0
+
+
+ARGUMENTS = {  # of a table, of what moves at a speed
+    "square": (lambda s: s * s / 50, 46, 48, SPEED),
+    "wave": (lambda s: 55 * np.sin(s / 10), 0, 70, SPEED),
+    "square of time": (lambda t: t * t, 6, 7, 1),
+}
+
+
+@pytest.mark.slow_rows("wave", "time")
+@pytest.mark.parametrize("shape", ARGUMENTS)
+def test_nothing_steps_over_a_bump_of_a_table_whose_argument_is_no_line(shape, tmp_path):
+    form, begin, end, speed = ARGUMENTS[shape]
+    knots, values = [0, 44, 44.01, 44.02, 60], [0, 0, 100, 0, 0]
+    table = ca.interpolant("table", "linear", [knots], values)
+    t, s, y = ca.MX.sym("t"), ca.MX.sym("s"), ca.MX.sym("y")
+    moving = t if "time" in shape else s
+    laws = {"t": t, "x": ca.vertcat(s, y), "ode": ca.vertcat(SPEED, table(form(moving)))}
+    dae = cosim.from_casadi(laws, name="curved", stop_time=7, output_interval=0.5)
+    at = np.linspace(begin, end, 1_000_001)
+    right = np.trapezoid(np.interp(form(at), knots, values), at) / speed
+    run = cosim.simulate(dae, solver="dop853")
+    assert run.final["y"] == pytest.approx(right, rel=1e-2)  # before: 0
+    path = cosim.export_fmu(dae, tmp_path / "x.fmu")
+    for interface in INTERFACES:
+        run = cosim.simulate_fmu(path, interface=interface)
+        assert run.final["y"] == pytest.approx(right, rel=1e-2)  # before: 0
