@@ -276,6 +276,9 @@ def test_an_fmu_warns_of_a_parameter_that_no_place_follows(tmp_path):
             path, start_values=start, debug_logging=True, logger=lambda *m: said.append(m[-1])
         )
         assert any(b"other moves a short change" in text for text in said) == bool(start)
+        run = cosim.simulate_fmu(path, interface="ModelExchange", start_values=start)
+        said_so = "other moves a short change" in run.stats.get("note", "")
+        assert said_so == bool(start)  # before: nothing
 
 
 @pytest.mark.parametrize(

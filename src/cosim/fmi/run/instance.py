@@ -34,6 +34,7 @@ _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
 _SLIDES = re.compile(r": from \S+ s on, '(.+)' stays 0 by (.+)$")
 _LEAPS = re.compile(r": at (\S+) s, (.+) jumps over a short change of the equations \('(.+)'\)")
+_PASSED = re.compile(r": (\S+ moves a short change.+|'.+' switches at \S+ s and returns within.+)$")
 _LEFT = re.compile(r": invalid from (\S+) s: (.+)$")  # of these, too
 _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "getContinuousStateDerivatives": "getDerivatives",
@@ -198,6 +199,7 @@ class Logged:
         violations: Violations of validity conditions.
         sliding: The inputs by which relations stay 0, by these.
         leaps: When inputs have jumped over which short changes: time and relation, by the inputs.
+        passed: What else tells that steps may have passed over changes.
     """
 
     texts: list[str] = field(default_factory=list)
@@ -205,6 +207,7 @@ class Logged:
     violations: Violations = field(default_factory=Violations)
     sliding: dict[str, list[str]] = field(default_factory=dict)
     leaps: dict[str, tuple[str, str]] = field(default_factory=dict)
+    passed: list[str] = field(default_factory=list)
 
     def note(self, *arguments: Any) -> None:
         """Keep a message, the last argument in every version of the FMI."""
@@ -216,6 +219,8 @@ class Logged:
                 self.violations.note(Violation(float(left[1]), left[2]))
             elif leap := _LEAPS.search(words):
                 self.leaps.setdefault(leap[2], (leap[1], leap[3]))
+            elif passed := _PASSED.search(words):
+                self.passed.append(passed[1])
         elif event := _EVENT.search(words):
             self.events.append((float(event[1]), event[2]))
         elif slides := _SLIDES.search(words):

@@ -152,6 +152,8 @@ class OpenedFmu:
         done = perf_counter()
         if (end := found.stats.get("stop_time")) is not None:
             found.stats["stop"] = f"{why_it_ended(instance.logged.texts)} from {end:.12g} s on"
+        if note := one_note(found.stats.get("note"), *instance.logged.passed):
+            found.stats["note"] = note
         stats = {
             **found.stats,
             **invalidity(instance.logged.violations),
