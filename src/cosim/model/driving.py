@@ -25,10 +25,12 @@ from cosim.model.inputs import FollowedInputs, InputSeries
 from cosim.model.quantities import quantity
 from cosim.model.switching import switch_times
 from cosim.model.values import number
+from cosim.series.curves import graded
 
 _STEEP = 0.02  # share of a function's range within a sampling interval that may be a jump
 _LOOKS = 7  # at a function between two output times
 _PEAK = 0.1  # departure from the line between two samples that matters, as a share of the range
+_IN_PULSE = 4  # parts between two of the times that show a pulse of a formula
 _TRIALS = 5  # bisections after which only a jump is still half as high
 Law = str | Callable[[Any], Any]
 
@@ -139,8 +141,15 @@ def with_held(
     return found
 
 
+Pulses = Callable[[Dae, Vector, float, float], Vector]  # of a model with parameters, in a span, s
+
+
 def followed(
-    owner: str, inputs: Any, times: Vector, units: Mapping[str, tuple[str, Mapping[str, Unit]]]
+    owner: str,
+    inputs: Any,
+    times: Vector,
+    units: Mapping[str, tuple[str, Mapping[str, Unit]]],
+    pulses: Pulses = lambda *_: np.empty(0),
 ) -> InputSeries | None:
     """Return the inputs of an FMU, whose equations cannot be changed.
 
@@ -151,6 +160,7 @@ def followed(
             the output times (n,), or an `InputSeries` with that input.
         times: Output times, s, (n,).
         units: By the name of an input: its unit, and the units in which a value may be written.
+        pulses: Returns the times at which steps must end to see all terms of time.
 
     Raises:
         UnknownName, ParameterError, UsageError: See `driven`.
@@ -170,11 +180,16 @@ def followed(
             pieces.append(_samples(owner, name, [number(owner, name, value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
             if isinstance(value, str):
-                law, switches = _formula(f"{owner}: {name}", value, numbers, ends, unit)
+                law, model = _formula(f"{owner}: {name}", value, numbers, unit)
+                switches = switch_times(model, *ends.tolist())
+                breaks = switches
+                if len(own := pulses(model, np.empty(0), *ends.tolist())):
+                    breaks = np.union1d(breaks, _divided(np.union1d(ends, own)))
             else:
-                law, switches = value, _samples(owner, name, value, times).jumps
+                law, breaks = value, _samples(owner, name, value, times).jumps
+                switches = breaks
             laws[name] = _on_arrays(law)
-            around = np.sort(np.append(np.union1d(ends, switches), switches))
+            around = np.sort(np.append(np.union1d(ends, breaks), switches))
             pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
         else:
             pieces.append(_samples(owner, name, value, times))
@@ -185,16 +200,22 @@ def followed(
 
 
 def _formula(
-    owner: str, text: str, constants: Mapping[str, float], ends: Vector, unit: str
-) -> tuple[Callable[[float], float], Vector]:
-    """Return a formula as a function, and when its relations switch between two times, s."""
+    owner: str, text: str, constants: Mapping[str, float], unit: str
+) -> tuple[Callable[[float], float], Dae]:
+    """Return a formula as a function, and as the derivative in a model."""
     model = Model("input")
     symbols = {name: SX(value) for name, value in constants.items()}
     value = expression(owner, text, symbols | {"t": model.t, "time": model.t}, {"": unit})
     model.derivative(model.state("integral", "1", 0.0, "integral of the input"), value)
     function = ca.Function("law", [model.t], [value])
-    switches = switch_times(model.freeze(), *ends.tolist())
-    return lambda t: float(function(t)), switches
+    return lambda t: float(function(t)), model.freeze()
+
+
+def _divided(times: Vector) -> Vector:
+    """Return times with others between and about them: an FMU takes inputs as lines."""
+    edges = graded(times)
+    parts = np.arange(0, len(edges) - 1 + 0.5 / _IN_PULSE, 1 / _IN_PULSE)
+    return np.asarray(np.interp(parts, np.arange(len(edges)), edges))
 
 
 def _on_arrays(law: Callable[[Any], Any]) -> Callable[[Vector], Vector]:

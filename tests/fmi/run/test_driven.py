@@ -241,3 +241,10 @@ def test_jump_soon_after_a_late_start_is_followed(integrator, interface):
     span = {"start_time": start, "stop_time": start + 4 * later, "output_interval": 4 * later}
     run = cosim.simulate_fmu(integrator, interface=interface, inputs=series, **span)
     assert run.final["x"] == pytest.approx(3 * later, rel=1e-2)  # measured 1e-3; before: 4 later
+
+
+@pytest.mark.parametrize("interface", KINDS)
+def test_no_run_of_an_fmu_passes_over_a_short_pulse_of_a_formula(integrator, interface):
+    law = "exp(-((t - 0.53) / 1e-5)^2) * 1e5"
+    run = cosim.simulate_fmu(integrator, interface=interface, inputs={"u": law})
+    assert run.final["x"] == pytest.approx(np.sqrt(np.pi), rel=1e-3)  # before: 0

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.arrays import Vector, frozen
+from cosim.codegen.terms import pulse_times
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.fmi.run.arrays import Layout, elements_of, with_elements
 from cosim.fmi.run.description import Interface, by_name, nominal_of, unit_of
@@ -115,7 +116,8 @@ class FmuRequest:
                 if not is_continuous(v)
             }
             times = time_grid(start, stop, interval)
-            series = followed(str(name), with_held(str(name), inputs, times, held), times, units)
+            own = with_held(str(name), inputs, times, held)
+            series = followed(str(name), own, times, units, pulse_times)
         if series is not None:
             _check_series(name, driven, series, values)
         request = cls(
