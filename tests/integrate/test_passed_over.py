@@ -465,3 +465,13 @@ def test_a_table_that_relations_switch_is_no_term_that_moves():
     run = cosim.simulate(model.freeze())
     assert run.final["x"] == pytest.approx(6)
     assert "note" not in run.stats
+
+
+@pytest.mark.parametrize(("stop", "passes"), [(5.5, 2), (12, 4)])
+def test_a_term_is_seen_wherever_a_state_turns_under_a_relation(stop, passes):
+    x, w, y, k = SX.sym("x"), SX.sym("w"), SX.sym("y"), 1e6
+    top = ca.exp(k * (ca.fabs(x) - 1)) * np.sqrt(k / (2 * np.pi))
+    laws = {"x": ca.vertcat(x, w, y), "ode": ca.vertcat(w, -x, top)}
+    dae = cosim.from_casadi(laws, {"w": 1.0}, name="turn", stop_time=stop, output_interval=0.5)
+    run = cosim.simulate(dae, solver="dop853", relative_tolerance=1e-9)
+    assert run.final["y"] == pytest.approx(passes, rel=1e-2)  # before: 1

@@ -81,8 +81,7 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
         steps: Number of steps.
     """
     nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
-    bend = _bend(path, nodes)
-    pads = np.maximum(bend[:, :-1], bend[:, 1:])
+    pads = _bends(path, nodes)
     jumps = path.time[1:][np.diff(path.time) == 0]  # a mode that jumps there passes over nothing
     return [
         (term, edges)
@@ -92,15 +91,12 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
     ]
 
 
-def _bend(path: Path, nodes: Vector) -> Vector:
-    """Return how far what moves may be from lines between rows near nodes, (n, nodes)."""
-    own = path.moved
-    off = np.zeros_like(own)
-    if own.shape[1] > 2:
-        off[:, 1:-1] = np.abs(own[:, 2:] - 2 * own[:, 1:-1] + own[:, :-2]) / 4
-        off[:, [0, -1]] = off[:, [1, -2]]
-    rows = np.clip(path.time.searchsorted(nodes, "right") - 1, 0, own.shape[1] - 2)
-    return np.maximum(off[:, rows], off[:, rows + 1])
+def _bends(path: Path, nodes: Vector) -> Vector:
+    """Return how far what moves may be from lines between nodes, (moving, n): as next to them."""
+    ends, middles = path.at(nodes).moved, path.at((nodes[:-1] + nodes[1:]) / 2).moved
+    off = np.abs(ends[:, :-1] - 2 * middles + ends[:, 1:])
+    around = np.pad(off, ((0, 0), (1, 1)))
+    return np.maximum(off, np.maximum(around[:, :-2], around[:, 2:]))
 
 
 def _of_term(
