@@ -96,7 +96,7 @@ def _bends(path: Path, nodes: Vector) -> Vector:
     ends, middles = path.at(nodes).moved, path.at((nodes[:-1] + nodes[1:]) / 2).moved
     off = np.abs(ends[:, :-1] - 2 * middles + ends[:, 1:])
     around = np.pad(off, ((0, 0), (1, 1)))
-    return np.maximum(off, np.maximum(around[:, :-2], around[:, 2:]))
+    return np.asarray(np.maximum(off, np.maximum(around[:, :-2], around[:, 2:])))
 
 
 def _of_term(
