@@ -436,4 +436,4 @@ def test_lanes_step_over_no_pulses_that_are_many():
     dae = cosim.from_casadi({"t": t, "x": y, "ode": pulses}, stop_time=1, output_interval=0.1)
     many = cosim.simulate_many(dae, {"y": [0.0, 0.0]}, solver="dop853")
     right = 12.5 * np.sqrt(np.pi) * 1e-3 / 40
-    np.testing.assert_allclose(many["y"][:, -1], right, rtol=1e-3)  # before: 5e-4
+    np.testing.assert_allclose(many["y"][:, -1], right, rtol=1e-3)
