@@ -15,11 +15,12 @@ from typing import NamedTuple
 import casadi as ca
 from casadi import SX
 
-from casadi_models.dae.expressions import applied, column, replayed
+from casadi_models.dae.expressions import applied, column, operations, replayed
 from casadi_models.dae.frozen import Dae
 
 _MOST_OPERATIONS = 500  # of an expression whose bounds over a part of a step tell something
 _MOST_DEGREE = 4  # of a polynomial
+_TRUTHS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT}
 _LEAST = 1e-300  # distance of what is below 0
 # Factors of the first and of the last operand, which are the same if there is one
 _SUMS = {ca.OP_ADD: (1, 1), ca.OP_SUB: (1, -1), ca.OP_NEG: (-1, 0), ca.OP_TWICE: (2, 0)}
@@ -141,7 +142,8 @@ def enclosures(dae: Dae, expressions: Mapping[int, SX], modes: int) -> Enclosure
     ends = ca.vertcat(dae.t + length, high, fastest)
     known, found = list[int](), list[_Span]()
     for i, value in expressions.items():
-        if ca.depends_on(value, dae.z) or not is_small(value):
+        jumps = _TRUTHS.intersection(operations(value))  # no root is found of what does so
+        if jumps or ca.depends_on(value, dae.z) or not is_small(value):
             continue
         rate = ca.jtimes(value, ca.vertcat(dae.t, moving), ca.vertcat(1, rates))
         spans = _spans(
@@ -225,7 +227,7 @@ def _spans(
             y, x = map(_within_terms, operands)
             jumps.append(ca.logic_and(ca.logic_and(y.low < 0, y.high >= 0), x.low < 0))
             return _angle(y, x, jumps[-1], side if len(jumps) == 1 else 0)
-        if code == ca.OP_IF_ELSE_ZERO:
+        if code == ca.OP_IF_ELSE_ZERO and not operands[0].stays:
             jumps.append(operands[0].low != operands[0].high)
         return _operated(code, operands)
 
@@ -418,6 +420,8 @@ def _hyperbolic_cosine(a: _Span, b: _Span) -> _Span:
 def _chosen(condition: _Span, a: _Span) -> _Span:
     """Return the span of an operand where a condition holds, and of 0 where it does not."""
     low, high = (SX.binary(ca.OP_IF_ELSE_ZERO, condition.high, end) for end in (a.low, a.high))
+    if condition.stays:
+        return _Span(low, high, False)
     low = ca.if_else(condition.low, low, ca.fmin(low, 0))
     return _Span(low, ca.if_else(condition.low, high, ca.fmax(high, 0)), False)
 
@@ -441,6 +445,8 @@ _RULES: dict[int, Callable[[_Span, _Span], _Span]] = {  # of one operand, or of 
     ca.OP_IF_ELSE_ZERO: _chosen,
     ca.OP_LT: lambda a, b: _Span(a.high < b.low, a.low < b.high, False),
     ca.OP_LE: lambda a, b: _Span(a.high <= b.low, a.low <= b.high, False),
+    ca.OP_EQ: lambda a, b: _Span(SX(0), ca.logic_and(a.low <= b.high, b.low <= a.high), False),
+    ca.OP_NE: lambda a, b: _Span(ca.logic_or(a.high < b.low, b.high < a.low), SX(1), False),
     ca.OP_AND: lambda a, b: _Span(ca.logic_and(a.low, b.low), ca.logic_and(a.high, b.high), False),
     ca.OP_OR: lambda a, b: _Span(ca.logic_or(a.low, b.low), ca.logic_or(a.high, b.high), False),
     ca.OP_NOT: lambda a, _: _Span(ca.logic_not(a.high), ca.logic_not(a.low), False),

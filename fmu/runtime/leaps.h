@@ -14,7 +14,7 @@
 
 /* Places divide a change of a term into parts of an eighth: a step that stays has nine. Two leaps
    that pass no more of them resolve it, or meet the values at both its ends. */
-enum { MOST_PLACES = 9, RESULTS = NX + NY - N_WATCHED, MOVING = NU - MODES };
+enum { MOST_PLACES = 9, RESULTS = NX + NY - N_WATCHED, INPUTS = NU - MODES };
 
 static bool is_sign(int relation) {
     return !relation_table[relation].of_time && !relation_table[relation].floor;
@@ -22,7 +22,7 @@ static bool is_sign(int relation) {
 
 /* Replace inputs by those at a share of the way from others to them. */
 static void go_on_way(const double from[], double share, double u[]) {
-    for (int i = 0; i < MOVING; i++) u[i] = from[i] + share * (u[i] - from[i]);
+    for (int i = 0; i < INPUTS; i++) u[i] = from[i] + share * (u[i] - from[i]);
 }
 
 /* Derivatives, outputs and then modes with inputs at a share of the way to the present ones. False

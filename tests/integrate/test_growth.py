@@ -441,3 +441,19 @@ def test_a_run_that_followed_growth_stays_where_the_next_one_fails(monkeypatch):
 def test_run_without_a_row_is_a_failure_and_no_crash():
     with pytest.raises(cosim.errors.SolverError, match="stopped after the start"):
         cosim.simulate("double_pendulum/multipliers", solver="rosenbrock", relative_tolerance=3e-14)
+
+
+def test_growth_beside_a_state_that_is_a_billion_times_faster_is_followed():
+    """It begins at 10 s; the slopes that tell of it are 1e-9 of the largest one."""
+    model = cosim.Model("beside", stop_time=40.0, output_interval=0.4)
+    c, i = model.state("c", "1", 0.0, "clock"), model.state("i", "1", 0.0, "current")
+    x, v = model.state("x", "1", 0.0, "angle"), model.state("v", "1", 0.0, "rate")
+    model.derivative(c, 1)
+    model.derivative(i, -1e9 * i)
+    model.derivative(x, v)
+    model.derivative(v, (c - 10) / 10 * ca.sin(x) - 0.1 * v + 1e-18)
+    run = cosim.simulate(model.freeze(), solver="cvodes")
+    alone = cosim.simulate(
+        model.freeze(), solver="cvodes", relative_tolerance=1e-10, absolute_tolerance=1e-25
+    )
+    assert run.final["x"] == pytest.approx(alone.final["x"], rel=1e-4)  # before: -3e-19

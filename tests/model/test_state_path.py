@@ -33,7 +33,7 @@ def path_of(slopes, grows=None):
         ([[2, 1e-9], [0, 3]], ["10", "01"]),  # a weak influence is none
         ([[0, 1, 0], [0, 0, 1], [1, 0, 0]], ["111"]),
         ([[0, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 1], [0, 0, 1, 0]], ["1100", "1111"]),
-        ([[np.nan, 0], [0, 1]], ["10", "01"]),
+        ([[np.nan, 5], [5, 0]], ["11"]),
     ],
 )
 def test_groups_are_what_states_depend_on(slopes, groups):

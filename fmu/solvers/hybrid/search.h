@@ -177,7 +177,10 @@ static inline Located locate(const Past *past, const Switching *s, double begin,
         const double t = crossing->time;
         Place place;
         if (!past->fresh(past->motion, t, &place)) return FAILS;
-        const int i = crossing->relation = first_at(past, &place, s, crossing->relation);
+        const int i = first_at(past, &place, s, crossing->relation);
+        if (i != crossing->relation)
+            bounds = (Bounds){fmax(begin, past->until[i]), end, end, -INFINITY, 0, 0, false};
+        crossing->relation = i;
         const double speed = fabs(place.rates[i]), slack = slack_of(s, i);
         left = place.inside[i] - slack;
         rises = place.rates[i] > 0;
@@ -228,9 +231,12 @@ static inline Located find_crossing(LookAt *look, Stays *stays, FreshStep *fresh
         *found = (Crossing){place.t, relation, place.t};
         const Located how = locate(&past, s, begin, end, found);
         if (how == CROSSES || how == FAILS) return how;
-        look(motion, end, &before);
         const int i = found->relation;
-        if (how == JUMPS_BEYOND && before.inside[i] < 0 && before.rates[i] < 0) return CROSSES;
+        if (how == JUMPS_BEYOND) {
+            Place last;
+            look(motion, end, &last);
+            if (last.inside[i] < 0 && last.rates[i] < 0) return CROSSES;
+        }
         const bool first = past.until[i] == -INFINITY;
         past.until[i] = first ? inside_again(&past, i, place.t, end) : INFINITY;
         before = place;

@@ -235,8 +235,8 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector, near: Vector = _REACH) -> lis
 def _growing(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
     """Return where a term that grows beyond all numbers may act, if it does so suddenly.
 
-    Wherever what moves it turns, it returns: no step sees it as one of a slope. Its places divide
-    about its logarithm alike, whatever its unit and its factor are.
+    Wherever what moves it turns, it returns: no step sees it as one of a slope. Its places
+    are those of its logarithm, whatever its unit and its factor are.
     """
     value = ca.Function("value", [term.symbol, dae.p], [term.value])
 

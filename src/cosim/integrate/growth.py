@@ -299,8 +299,8 @@ def _slopes(dae: Dae, t: Vector, x: Vector, z: Vector, u: Vector, p: Vector) -> 
 
 def _at_places(block: ca.DM, places: int) -> Vector:
     """Return matrices beside each other, (n, m * places), as (places, n, m)."""
-    rows, columns = block.shape[0], block.shape[1] // places
-    found = np.zeros((places, rows, columns))
+    columns = block.shape[1] // places
+    found = np.zeros((places, block.shape[0], columns))
     row, column = (np.array(own, dtype=int) for own in block.sparsity().get_triplet())
     found[column // max(columns, 1), row, column % max(columns, 1)] = block.nonzeros()
     return found

@@ -29,7 +29,7 @@ _BEYOND = 0.05  # of a way, by which rows may miss its ends ...
 _LARGER = 20.0  # ... where the range of a term may be so much larger that none seems to change
 _MOST_CELLS = 4_000  # parts of a way
 _ROWS, _MOST_STEPS = 8, 10_000  # per average step, of a motion whose places are sought; steps
-_CORRECTIONS = 4  # of the place of a knot between edges
+_HALVINGS = 53  # of the place of a knot between edges
 _INNER = 4  # intervals of a part of a place over which rates are integrated
 
 
@@ -160,12 +160,14 @@ def _reached(dae: Dae, term: InnerTerm, p: Vector, values: Vector, edges: Vector
     own = np.array(variable(edges[None], p)).ravel()
     first, last = (values.searchsorted(end(own[:-1], own[1:])) for end in (np.fmin, np.fmax))
     cells = np.repeat(np.arange(len(first)), last - first)
-    goals = np.concatenate([values[i:j] for i, j in zip(first, last, strict=True)])
-    paces = (np.diff(edges) / np.diff(own))[cells]
-    at = edges[cells] + (goals - own[cells]) * paces
-    for _ in range(_CORRECTIONS if len(at) else 0):
-        at += (goals - np.array(variable(at[None], p)).ravel()) * paces
-    return at
+    goals = np.concatenate([np.empty(0), *(values[i:j] for i, j in zip(first, last, strict=True))])
+    rises = (own[:-1] < own[1:])[cells]
+    low, high = edges[cells], edges[cells + 1]
+    for _ in range(_HALVINGS if len(cells) else 0):
+        middle = (low + high) / 2
+        beyond = (np.array(variable(middle[None], p)).ravel() > goals) == rises
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return high
 
 
 def _times(t: Vector, x: Vector, edges: Vector) -> list[Vector]:

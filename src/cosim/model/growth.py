@@ -27,7 +27,7 @@ _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
 _SHORTER = 4.0  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
-_SAME = 1e-9  # of the largest slope: changes that move no eigenvalue
+_SAME = 1e-9  # of each slope: changes that move no eigenvalue noticeably
 _MOST_EXPONENT = 600.0
 SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
@@ -339,7 +339,8 @@ def _may_grow(path: StatePath, times: Vector, slopes: Vector) -> Truths:
     slopes = slopes.reshape(*times.shape, *2 * [len(path.states)])
     finite = np.asarray(np.isfinite(slopes).all(axis=(1, 2, 3)))
     found = ~finite
-    times, slopes = times[finite], slopes[finite]
+    times = times[finite]
+    slopes = slopes[finite]
     between = np.where(_steady(slopes), 1, _MORE)
     found[finite] = between * _exponent(times, slopes, _end(times, path.time[-1])) > 1
     return found
@@ -360,8 +361,10 @@ def _exponent(t: Vector, slopes: Vector, end: Vector | float = -np.inf) -> Vecto
 def _growth_rates(slopes: Vector) -> Vector:
     """Return the largest real part of the eigenvalues at places, 1/s, (...)."""
     every = slopes.reshape(-1, *slopes.shape[-2:])
-    changes = np.abs(np.diff(every, axis=0, prepend=np.inf)).max(axis=(1, 2))
-    new = changes > _SAME * np.abs(every).max(initial=0.0)  # few are, near a rest
+    before = np.roll(every, 1, axis=0)
+    changes = np.abs(every - before) > _SAME * np.abs(every)
+    new = np.asarray(changes.any(axis=(1, 2)))  # few are, near a rest
+    new[:1] = True
     rates: Vector = np.linalg.eigvals(every[new]).real.max(axis=1)[new.cumsum() - 1]
     return rates.reshape(slopes.shape[:-2])
 

@@ -64,9 +64,11 @@ class StatePath:
         Each set of states that depend on each other is there once. Weak influences are none.
         """
         rows = np.linspace(0, len(self.time) - 1, _PLACES).astype(int)
-        strengths = np.fmax.reduce(np.abs(self.slopes_at(np.unique(rows))), axis=0)
-        acts = strengths > _WEAK * strengths.max(axis=1, keepdims=True)
-        found, waiting = list[Truths](), self.grows.copy()
+        strengths = np.fmax.reduce(np.abs(self.slopes_at(rows)), axis=0)
+        finite = np.where(np.isfinite(strengths), strengths, 0)
+        acts = ~(strengths <= _WEAK * finite.max(axis=1, keepdims=True))
+        found = list[Truths]()
+        waiting = self.grows.copy()
         while waiting.any():
             first = int(np.argmax(waiting))
             found.append(_reached(acts, first))
@@ -75,7 +77,8 @@ class StatePath:
 
     def alone(self, calm: Truths) -> Truths:
         """Return which groups are lines, (g, ...), of which states are, (nx, ...)."""
-        return np.array([calm[group].all(axis=0) for group in self.groups])
+        found = [calm[group].all(axis=0) for group in self.groups]
+        return np.array(found, dtype=bool).reshape(-1, *calm.shape[1:])
 
     def slopes_at(self, rows: Integers) -> Vector:
         """Return the slopes at rows in nominal values, (m, nx, nx)."""

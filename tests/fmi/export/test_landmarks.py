@@ -483,3 +483,14 @@ def test_the_places_of_a_table_of_an_input_are_named(tmp_path):
     for interface in INTERFACES:
         run = cosim.simulate_fmu(path, stop_time=70, inputs={"u": "t"}, interface=interface)
         assert run.final["v"] == pytest.approx(1, abs=1e-6)  # before, in model exchange: 0
+
+
+def test_an_fmu_with_a_change_of_an_input_watches_its_limit(tmp_path):
+    """Both parts of the runtime name what moves; compilers took the names for one."""
+    model = cosim.Model("watched", stop_time=1.0, output_interval=0.1)
+    x, u = model.state("x", "1", 0.0, "state"), model.input("u", "1", 0.0, "input")
+    model.derivative(x, 2 + ca.exp(-(((u - 0.5) / 1e-3) ** 2)))
+    model.limit(1 - x * x, "x is small")
+    path = cosim.export_fmu(model.freeze(), tmp_path / "x.fmu")
+    run = cosim.simulate_fmu(path, interface="CoSimulation")
+    assert "from 0.5 s" in str(run.stats["invalid"])
