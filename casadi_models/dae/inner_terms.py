@@ -4,7 +4,7 @@ The term H exp(-((s - place) / width)**2) is, but for its factor, a function exp
 c = (s - place) / width. It holds no parameter: where it changes is known for all their values.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -12,7 +12,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import applied, in_postorder, symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import called, mode_count
+from casadi_models.dae.relations import called, modes_of
 from casadi_models.dae.single_terms import SUMS, several_terms, single_terms
 
 
@@ -82,7 +82,7 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
     """Return the terms of several states, time, unknowns or inputs, or of one of the latter."""
     columns = dae.x, dae.t, dae.z, dae.u
     moving = [symbol for column in columns for symbol in ca.vertsplit(column)]
-    jumping = modes_of(dae)  # which do not move
+    jumping = modes_of(dae)
     moving = moving[: len(moving) - jumping.numel()]
     places = {symbol.element_hash(): place for place, symbol in enumerate(moving)}
     known, found = {*places, *symbols(dae.p), *symbols(jumping)}, list[SeveralInner]()
@@ -99,15 +99,15 @@ def inner_terms_of_several(dae: Dae) -> list[SeveralInner]:
             (mover,) = symbols(variable).keys() & places.keys()
             each.append(InnerTerm((places[mover],), variable, symbol, node.form, given, ()))
         every = tuple(places[symbol.element_hash()] for symbol in movers)
-        alone, ordered = (
-            tuple(own for own in terms if not ca.depends_on(own.value, jumping))
-            for terms in (
-                _alone(dae, every, ca.vertcat(*movers), term),
-                sorted(each, key=lambda term: term.movers),
-            )
-        )
+        alone = _fixed(_alone(dae, every, ca.vertcat(*movers), term), jumping)
+        ordered = _fixed(sorted(each, key=lambda term: term.movers), jumping)
         found.append(SeveralInner(ordered, alone, i >= len(resting), term))
     return found
+
+
+def _fixed(terms: Iterable[InnerTerm], jumping: SX) -> tuple[InnerTerm, ...]:
+    """Return the terms whose values do not depend on modes."""
+    return tuple(term for term in terms if not ca.depends_on(term.value, jumping))
 
 
 def in_waves(dae: Dae, term: InnerTerm) -> Iterator[InnerTerm]:
@@ -136,11 +136,6 @@ def _alone(dae: Dae, places: tuple[int, ...], movers: SX, term: SX) -> Iterator[
         if not ca.depends_on(forms[nodes[-1][0]], movers):
             for found in _inner(dae, places, symbol, forms[nodes[-1][0]]):
                 yield found._replace(variable=ca.substitute(found.variable, symbol, value))
-
-
-def modes_of(dae: Dae) -> SX:
-    """Return the modes among the inputs, (n, 1)."""
-    return dae.u[dae.u.numel() - mode_count(dae) :]
 
 
 def parameters_of(dae: Dae, value: SX) -> tuple[int, ...]:
@@ -209,7 +204,7 @@ def _combined(
         return _Node(code, variables[-1][1], frozenset([len(variables) - 1]), True, ())
     if code == ca.OP_CALL:
         function = value.which_function()
-        if movers == [*operands] and not movers[0].is_line and is_table(function):
+        if len(movers) == len(operands) and not movers[0].is_line and is_table(function):
             variables.append((value.dep(0), SX.sym("c")))  # in which it has its knots
             forms, roots = [variables[-1][1]], frozenset([len(variables) - 1])
             operands = (_Node(code, forms[0], roots, True, ()),)

@@ -85,6 +85,11 @@ def mode_count(dae: Dae) -> int:
     return sum(isinstance(variable, Mode) for variable in dae.inputs)
 
 
+def modes_of(dae: Dae) -> SX:
+    """Return the modes among the inputs, (n, 1), which jump and do not move."""
+    return dae.u[dae.u.numel() - mode_count(dae) :]
+
+
 class LawsWithModes:
     """The laws of a model, rebuilt operation by operation with modes for relations.
 

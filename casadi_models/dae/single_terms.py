@@ -9,7 +9,7 @@ from casadi import SX
 
 from casadi_models.dae.expressions import column, in_postorder, symbols
 from casadi_models.dae.frozen import Dae
-from casadi_models.dae.relations import Mode, mode_count
+from casadi_models.dae.relations import Mode, modes_of
 
 SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG)
 _LOCAL = {  # what may change within a small part of its argument's way, and rest elsewhere
@@ -148,8 +148,7 @@ def _moving(dae: Dae) -> dict[int, int]:
     """Return what moves a symbol, by its hash: see `_Node.moving`."""
     moving = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(dae.x))}
     moving[dae.t.element_hash()] = dae.x.numel()
-    modes = ca.vertsplit(dae.u)[dae.u.numel() - mode_count(dae) :]  # which jump, and do not move
-    moving |= {mode.element_hash(): _MODES for mode in modes}
+    moving |= dict.fromkeys(symbols(modes_of(dae)), _MODES)
     return moving | dict.fromkeys(symbols(dae.p), _NONE)
 
 

@@ -75,8 +75,8 @@ static inline bool seems_to_rest(const Switching *s, const Seen *seen, int i) {
     return motion_of(seen, i) <= rounding_of_rate(s, seen, i);
 }
 
-/* Whether a motion decays before it is beyond rounding: its second derivative takes the first one
- * away, and does not turn it. */
+/* Whether an argument comes to rest within rounding of its boundary: its second derivative brakes
+ * it, and does not turn it back. */
 static inline bool decays(const Laws *laws, const Switching *s, const Point *from, const Seen *seen,
                           int i) {
     const double rate = seen->rates[i], second = seen->seconds[i];

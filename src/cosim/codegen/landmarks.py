@@ -21,9 +21,9 @@ from casadi_models.dae.inner_terms import (
     inner_terms,
     inner_terms_of_several,
     is_table,
-    modes_of,
     parameters_of,
 )
+from casadi_models.dae.relations import modes_of
 from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Integers, Truths, Vector
 from cosim.codegen.changes import (
@@ -50,7 +50,7 @@ _INNER = 64  # samples of a part of a change
 _NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step sees
 _IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
 _LEAST_SIZE, _GREATEST_SIZE = 1e-12, 1e30  # of a term that grows, where its places are
-_GROWTH = 28.0  # of its logarithm, at which most of them are
+_GROWTH = 28.0  # asinh(value / _LEAST_SIZE) of a value near 1, about which they are dense
 _SUDDEN = 0.02  # share of the size of what moves a term, in which it may turn within a step
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
 _SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
@@ -176,9 +176,8 @@ def _has_fixed_times(dae: Dae, change: _Change) -> bool:
     term = change.term
     if term.movers != (len(dae.states),) or ca.depends_on(dae.driving_outputs, dae.t):
         return False
-    if not is_line(dae, term):
-        return False
-    return bool(term.given) or not ca.depends_on(term.variable, dae.p)
+    is_known = bool(term.given) or not ca.depends_on(term.variable, dae.p)
+    return is_known and is_line(dae, term)
 
 
 def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:

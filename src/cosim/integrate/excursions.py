@@ -13,7 +13,8 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.relations import mode_count
+from casadi_models.dae.expressions import symbols
+from casadi_models.dae.relations import modes_of
 from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Vector
@@ -56,10 +57,10 @@ def several_terms_of(dae: Dae) -> SeveralTerms | None:
     moving = ca.vertcat(dae.t, dae.x, dae.z, dae.u)
     ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
     values, known, names, unbounded = (list[Any]() for _ in range(4))
-    own = {s.element_hash() for s in ca.vertsplit(moving)[: moving.numel() - mode_count(dae)]}
+    own = symbols(moving).keys() - symbols(modes_of(dae)).keys()
     for term in ca.vertsplit(column):
-        symbols = [s for s in ca.symvar(term) if s.element_hash() in own]
-        name = ", ".join(symbol.name() for symbol in symbols)
+        movers = [s for s in ca.symvar(term) if s.element_hash() in own]
+        name = ", ".join(symbol.name() for symbol in movers)
         bounds = bounds_within(term, moving, ends)
         if bounds is None:
             unbounded.append(name)

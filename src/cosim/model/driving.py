@@ -182,14 +182,13 @@ def followed(
             if isinstance(value, str):
                 law, model = _formula(f"{owner}: {name}", value, numbers, unit)
                 switches = switch_times(model, *ends.tolist())
-                breaks = switches
-                if len(own := pulses(model, np.empty(0), *ends.tolist())):
-                    breaks = np.union1d(breaks, _divided(np.union1d(ends, own)))
+                own = pulses(model, np.empty(0), *ends.tolist())
+                looks = _divided(np.union1d(ends, own)) if len(own) else ends
             else:
-                law, breaks = value, _samples(owner, name, value, times).jumps
-                switches = breaks
+                law, looks = value, ends
+                switches = _samples(owner, name, value, times).jumps
             laws[name] = _on_arrays(law)
-            around = np.sort(np.append(np.union1d(ends, breaks), switches))
+            around = np.sort(np.append(np.union1d(looks, switches), switches))
             pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
         else:
             pieces.append(_samples(owner, name, value, times))
@@ -214,7 +213,8 @@ def _formula(
 def _divided(times: Vector) -> Vector:
     """Return times with others between and about them: an FMU takes inputs as lines."""
     edges = graded(times)
-    parts = np.arange(0, len(edges) - 1 + 0.5 / _IN_PULSE, 1 / _IN_PULSE)
+    last = len(edges) - 1
+    parts = np.linspace(0, last, _IN_PULSE * last + 1)
     return np.asarray(np.interp(parts, np.arange(len(edges)), edges))
 
 

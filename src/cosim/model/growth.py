@@ -284,7 +284,7 @@ def _growing_from(path: StatePath, starts: _Starts | None) -> Iterator[_Line]:
     time = np.linspace(begin, begin + starts.lengths, _PLACES, axis=-1)
     line = path.states[:, starts.rows, None] + starts.rates[..., None] * (time - begin[:, None])
     states = np.where(starts.calm[..., None], line, _between(path, time))
-    slopes = path.slopes(time.ravel(), states.reshape(len(states), -1))
+    slopes = path.scaled_slopes(time.ravel(), states.reshape(len(states), -1))
     for k in np.flatnonzero(_may_grow(path, time, slopes)).tolist():
         every = np.union1d(path.time, time[k])
         rows = every.searchsorted(time[k, [0, -1]]).tolist()

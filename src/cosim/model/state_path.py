@@ -85,10 +85,13 @@ class StatePath:
         missing = (row for row in dict.fromkeys(rows.tolist()) if row not in self._known)
         new = np.array(list(missing), dtype=int)
         if len(new):
-            slopes = self.slopes(self.time[new], self.states[:, new])
-            scaled = slopes * self.sizes / self.sizes[:, None]
+            scaled = self.scaled_slopes(self.time[new], self.states[:, new])
             self._known.update(zip(new.tolist(), scaled, strict=True))
         return np.array([self._known[row] for row in rows.tolist()])
+
+    def scaled_slopes(self, times: Vector, states: Vector) -> Vector:
+        """Return `slopes` in nominal values."""
+        return self.slopes(times, states) * self.sizes / self.sizes[:, None]
 
 
 class Bends(NamedTuple):
