@@ -224,6 +224,8 @@ def _changes(dae: Dae, term: InnerTerm, p: Vector, near: Vector = _REACH) -> lis
     for edges in apart(found.parts):
         at = with_surroundings(edges, _INNER)
         seen = values(at)
+        if np.isnan(seen).any():  # no motion goes there
+            continue
         step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
         changes.append(_change(term, at, seen, found, bool(step)))
     if len(found.pinched):  # narrower than the search goes
