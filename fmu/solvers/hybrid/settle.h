@@ -17,7 +17,7 @@ static const double EDGE = 1e-9;        /* by which the mode of a new sliding ma
 static const double LEAVING = 1e-12;    /* by which a mode leaves it before that is an event, ...
                                            ... half of which ends the sliding at any instant */
 static const double JUMP = 4;           /* roundings beyond which only a jump goes and rises */
-static const double MOVED = 1e8;        /* roundings that no error of a solver makes, but inputs and jumps */
+static const double MOVED = 1e8;        /* roundings: by inputs and jumps, by no solver error */
 static const double NO_BOUNDARY = 1e30; /* far from any: of time alone, or without a value */
 
 /* Why the kernel cannot go on, or does not want to; sentences are made where names are known. */
