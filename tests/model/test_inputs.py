@@ -6,6 +6,7 @@ from helpers.fmu_files import set_attributes, with_description
 
 import cosim
 from cosim.codegen import compiler
+from cosim.codegen.terms import pulse_times
 from cosim.errors import ParameterError, UnknownName, UsageError
 from cosim.model.driving import driven, followed, with_tables
 from cosim.model.inputs import InputSeries, read_inputs
@@ -461,7 +462,7 @@ def test_held_series_keeps_a_sample_until_the_next_one_also_at_jumps():
 def test_formula_for_an_fmu_has_both_sides_of_each_of_its_jumps(steps, start):
     """Just before k / 7, seven times the time is rounded to k."""
     times, text = start + np.linspace(0, 1, 11), f"floor({steps}*(t - ({start})))"
-    series = followed("fmu", {"u": text}, times, {"u": ("1", {})})
+    series = followed("fmu", {"u": text}, times, {"u": ("1", {})}, pulse_times)
     k = np.arange(steps + 1)
     np.testing.assert_allclose(series.jumps, start + k / steps, atol=0, rtol=1e-15)
     np.testing.assert_array_equal(series.at(series.jumps)[0], k)

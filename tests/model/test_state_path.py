@@ -45,6 +45,11 @@ def test_states_that_do_not_grow_make_no_groups():
     assert len(path_of(np.eye(3), [True, False, True]).groups) == 2
 
 
+def test_without_a_state_that_grows_no_group_is_a_line():
+    path = path_of(np.eye(2), [False, False])
+    assert path.alone(np.ones((2, 3), dtype=bool)).shape == (0, 3)
+
+
 def test_the_eigenvalues_of_a_long_chain_that_moves_are_not_asked_for(monkeypatch):
     """All its states depend on one that moves; 200 of them took 13 s of a run of 4 ms."""
     model = cosim.Model("chain", stop_time=2.0, output_interval=0.1)

@@ -33,6 +33,7 @@ _PEAK = 0.1  # departure from the line between two samples that matters, as a sh
 _IN_PULSE = 4  # parts between two of the times that show a pulse of a formula
 _TRIALS = 5  # bisections after which only a jump is still half as high
 Law = str | Callable[[Any], Any]
+Pulses = Callable[[Dae, Vector, float, float], Vector]  # of a model with parameters, in a span, s
 
 
 @dataclass(frozen=True)
@@ -141,15 +142,12 @@ def with_held(
     return found
 
 
-Pulses = Callable[[Dae, Vector, float, float], Vector]  # of a model with parameters, in a span, s
-
-
 def followed(
     owner: str,
     inputs: Any,
     times: Vector,
     units: Mapping[str, tuple[str, Mapping[str, Unit]]],
-    pulses: Pulses = lambda *_: np.empty(0),
+    pulses: Pulses,
 ) -> InputSeries | None:
     """Return the inputs of an FMU, whose equations cannot be changed.
 
