@@ -167,7 +167,8 @@ def growth_from_start(path: StatePath, relative: float, absolute: float) -> Grow
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
     for level in _levels(relative, absolute):
         starts = _starts(path, np.array([0]), relative, level.calm)
-        found = level.smallest(_growing_from(path, starts)) if level.matters(path) else None
+        grows = starts is not None and level.matters(path)
+        found = level.smallest(_growing_from(path, starts)) if grows else None
         if found:
             return found
     return None
