@@ -1,4 +1,4 @@
-"""This repository's last commit against another: equations, `simulate`, export, command line.
+"""This repository's last commit against another: equations, runs, export, command line.
 
     python benchmarks/against.py COMMIT [ROUNDS]
 
@@ -21,6 +21,8 @@ from time import process_time
 
 ROOT = Path(__file__).parents[1]
 EVALUATIONS = 2000
+MASSES = 100
+EXAMPLES = "heat", "pendulum_stop", "slider_crank_friction", "bicycle_jump"
 ME = Path(__file__).resolve()
 
 
@@ -48,6 +50,33 @@ def simulated(solver: str, **options: object) -> Callable[[], Callable[[], objec
     return prepare
 
 
+def example(name: str) -> Callable[[], Callable[[], object]]:
+    def prepare() -> Callable[[], object]:
+        import cosim
+
+        dae = cosim.load(f"{ROOT / 'examples' / name}.py:build")
+        return lambda: cosim.simulate(dae)
+
+    return prepare
+
+
+def chain_of_masses() -> Callable[[], object]:
+    import casadi as ca
+
+    import cosim
+
+    x, v = ca.SX.sym("x", MASSES), ca.SX.sym("v", MASSES)
+    stretch = ca.vertcat(x, 0) - ca.vertcat(0, x)
+    force = 100 * stretch + 50 * stretch**3
+    rates = ca.vertcat(v, force[1:] - force[:-1] - 0.1 * v)
+    starts = {"x_1": 0.1}
+    dae = cosim.from_casadi(
+        {"x": ca.vertcat(x, v), "ode": rates}, start_values=starts, name="masses", stop_time=10,
+        output_interval=0.1,
+    )  # fmt: skip
+    return lambda: cosim.simulate(dae)
+
+
 def exported() -> Callable[[], object]:
     import cosim
 
@@ -61,6 +90,8 @@ CASES: dict[str, Callable[[], Callable[[], object]]] = {
     "simulate, dop853": simulated("dop853"),
     "simulate, cvodes": simulated("cvodes"),
     "simulate, cvodes interpreted": simulated("cvodes", compiled=False),
+    "simulate, 100 masses with springs": chain_of_masses,
+    **{f"simulate, examples/{name}.py": example(name) for name in EXAMPLES},
     "export_fmu, binary from the cache": exported,
 }
 COMMANDS = {"cosim --help": ["--help"], "cosim list": ["list"]}

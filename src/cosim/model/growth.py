@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
-from cosim.model.state_path import Bends, Span, StatePath
+from cosim.model.state_path import SHORTER, Bends, Departures, Span, Starts, StatePath
 from cosim.text import moment
 
 MOST_TRIALS_OF_GROWTH = 2  # as another deviation may grow after the first one
@@ -25,11 +25,9 @@ _EPS = float(np.finfo(float).eps)
 _ROUNDINGS = 4  # of the rates, within which a push may be rounding
 _PLACES = 9  # of a line, whose eigenvalues tell of growth
 _MORE = 4  # times as many where the equations change along it
-_SHORTER = 4.0  # by which the next line is shorter that is tried
 _STEADY = 0.1  # of the largest slope: changes that need no more places
 _SAME = 1e-9  # of each slope: changes that move no eigenvalue noticeably
 _MOST_EXPONENT = 600.0
-SHORTEST = 1e-3  # of a run: its first line
 _NOISE = 1e-12  # rounding of a step, relative to the states; linear systems multiply it
 _COUPLED = 1e-6  # least share of a state in what grows
 
@@ -143,11 +141,13 @@ def _growing_lines(
     if len(path.time) < 2 or not len(path.states):
         return
     bends = Bends.of(path, steps)
+    departures: Departures | None = None
     for level in _levels(relative, absolute):
         spans = bends.spans(relative, level.calm, path)
         # where steps are closer than rows, a line may be short
-        short = bool(spans) or steps >= len(path.time)
-        starts = _starts(path, path.begins, relative, level.calm) if short else None
+        if spans or steps >= len(path.time):
+            departures = departures or Departures.of(path, path.begins)
+        starts = departures.starts(relative, level.calm, path) if departures else None
         if (spans or starts) and level.matters(path):
             own = ((path, *span) for span in compress(spans, _growing(path, spans)))
             yield level, chain(own, _growing_from(path, starts))
@@ -165,8 +165,9 @@ def has_lines(path: StatePath, steps: int, relative: float, absolute: float) -> 
 
 def growth_from_start(path: StatePath, relative: float, absolute: float) -> Growth | None:
     """Return the growth from a motion that begins as a line; see `suppressed_growth`."""
+    departures = Departures.of(path, np.array([0]))
     for level in _levels(relative, absolute):
-        starts = _starts(path, np.array([0]), relative, level.calm)
+        starts = departures.starts(relative, level.calm, path)
         grows = starts is not None and level.matters(path)
         found = level.smallest(_growing_from(path, starts)) if grows else None
         if found:
@@ -244,40 +245,7 @@ def unfollowed_growth(
     return suppressed_growth(path.since(closer.until), steps, relative, absolute)
 
 
-class _Starts(NamedTuple):
-    """Lines from some rows of a path along their slopes.
-
-    Attributes:
-        rows: Where they begin, (n,).
-        lengths: Their lengths, s, (n,).
-        rates: dx/dt there, (nx, n).
-        calm: Which states follow them, (nx, n).
-    """
-
-    rows: Integers
-    lengths: Vector
-    rates: Vector
-    calm: Truths
-
-
-def _starts(path: StatePath, rows: Integers, relative: float, absolute: float) -> _Starts | None:
-    """Return the longest lines, to the tolerance, of groups of states from some rows, if any."""
-    t, x = path.time, path.states[:, rows, None]
-    start = t[rows, None]
-    rates = path.rates(start[:, 0], x[..., 0])[..., None]
-    shares = _SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(_SHORTER), -1)
-    lengths = (t[-1] - start) * shares
-    ends = x + lengths * rates
-    there = path.rates((start + lengths).ravel(), ends.reshape(len(x), -1))
-    bends = lengths * np.abs(there.reshape(ends.shape) - rates)
-    calm: Truths = bends <= relative * np.abs(ends) + absolute * path.sizes[:, None, None]
-    alone = path.alone(calm)
-    which, own = np.nonzero((alone & (alone.cumsum(axis=-1) == 1)).any(axis=0))
-    known = rows[which], lengths[which, own], rates[:, which, 0], calm[:, which, own]
-    return _Starts(*known) if len(which) else None
-
-
-def _growing_from(path: StatePath, starts: _Starts | None) -> Iterator[_Line]:
+def _growing_from(path: StatePath, starts: Starts | None) -> Iterator[_Line]:
     """Yield the lines along which a deviation may grow, with rows along them."""
     if starts is None:
         return
@@ -349,7 +317,7 @@ def _may_grow(path: StatePath, times: Vector, slopes: Vector) -> Truths:
 
 def _end(times: Vector, latest: float) -> Vector:
     """Return when lines end at the latest that go on after some times, s, (..., m)."""
-    return np.minimum(times[..., -1] + _SHORTER * (times[..., -1] - times[..., 0]), latest)
+    return np.minimum(times[..., -1] + SHORTER * (times[..., -1] - times[..., 0]), latest)
 
 
 def _exponent(t: Vector, slopes: Vector, end: Vector | float = -np.inf) -> Vector:

@@ -1,16 +1,20 @@
-"""`StatePath`: states over time with their equations, and where they are lines (`Bends`)."""
+"""`StatePath`: states over time with their equations; `Bends`, `Departures`: which are lines."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from cosim.arrays import Integers, Truths, Vector
 
 _FEWEST, _MOST_SPANS = 2, 8  # rows after the first of a line; lines
 _PLACES = 3  # of a path, where it is seen which states act on each other
+SHORTER = 4.0  # by which the next line is shorter that is tried
+SHORTEST = 1e-3  # of a run: its shortest line
 _WEAK = 1e-6  # share of the strongest influence on a state that is none
 
 Span = tuple[int, int, Truths]  # the rows between which states are lines in time, and which are
@@ -67,13 +71,19 @@ class StatePath:
         strengths = np.fmax.reduce(np.abs(self.slopes_at(rows)), axis=0)
         finite = np.where(np.isfinite(strengths), strengths, 0)
         acts = ~(strengths <= _WEAK * finite.max(axis=1, keepdims=True))
-        found = list[Truths]()
-        waiting = self.grows.copy()
-        while waiting.any():
-            first = int(np.argmax(waiting))
-            found.append(_reached(acts, first))
-            waiting &= ~(found[-1] & _reached(acts.T, first))  # these depend on the same ones
-        return found
+        nx = len(acts)
+        pattern = ca.Sparsity.triplet(nx, nx, *(own.tolist() for own in np.nonzero(acts)))
+        _, order, ends = pattern.scc()
+        found = np.eye(nx, dtype=bool)
+        chosen = list[int]()
+        for first, last in reversed([*pairwise(ends)]):  # each depends on later ones
+            own = order[first:last]
+            direct = acts[own].any(axis=0)
+            direct[own] = False
+            found[own] = found[direct].any(axis=0)
+            found[np.ix_(own, own)] = True
+            chosen += own[:1] if self.grows[own].any() else []
+        return [*found[chosen]]
 
     def alone(self, calm: Truths) -> Truths:
         """Return which groups are lines, (g, ...), of which states are, (nx, ...)."""
@@ -114,7 +124,8 @@ class Bends(NamedTuple):
         """Return the bends of a path that a solver found in so many steps."""
         t = path.time
         wanted = np.linspace(t[0], t[-1], min(len(t), max(steps, 1) + 1))
-        rows = np.unique(np.minimum(t.searchsorted(wanted), len(t) - 1))
+        rows = np.minimum(t.searchsorted(wanted), len(t) - 1)
+        rows = rows[np.diff(rows, prepend=-1) > 0]
         t, x = t[rows], path.states[:, rows]
         gaps = np.diff(t)
         slopes = np.diff(x, axis=1) / gaps
@@ -144,14 +155,65 @@ class Bends(NamedTuple):
         ]
 
 
-def _reached(acts: Truths, i: int) -> Truths:
-    """Return a state and all on which it depends, (nx,), from which act on which, (nx, nx)."""
-    found: Truths = np.arange(len(acts)) == i
-    new = found
-    while new.any():
-        new = acts[new].any(axis=0) & ~found
-        found = found | new
-    return found
+class Starts(NamedTuple):
+    """Lines from some rows of a path along their slopes.
+
+    Attributes:
+        rows: Where they begin, (n,).
+        lengths: Their lengths, s, (n,).
+        rates: dx/dt there, (nx, n).
+        calm: Which states follow them, (nx, n).
+    """
+
+    rows: Integers
+    lengths: Vector
+    rates: Vector
+    calm: Truths
+
+
+class Departures(NamedTuple):
+    """How far a motion may leave lines of several lengths from some rows along its slopes.
+
+    Attributes:
+        rows: Where they begin, (n,).
+        lengths: Their lengths, s, (n, m).
+        rates: dx/dt at the begins, (nx, n).
+        sizes: Absolute values of the states at the ends of lines, (nx, n, m).
+        bends: How far dx/dt at the ends leads away from the lines, (nx, n, m).
+    """
+
+    rows: Integers
+    lengths: Vector
+    rates: Vector
+    sizes: Vector
+    bends: Vector
+
+    @classmethod
+    def of(cls, path: StatePath, rows: Integers) -> "Departures":
+        """Return how far lines are followed from some rows of a path."""
+        t, x = path.time, path.states[:, rows, None]
+        start = t[rows, None]
+        rates = path.rates(start[:, 0], x[..., 0])[..., None]
+        shares = SHORTER ** np.arange(0, np.log(SHORTEST) / np.log(SHORTER), -1)
+        lengths = (t[-1] - start) * shares
+        ends = x + lengths * rates
+        there = path.rates((start + lengths).ravel(), ends.reshape(len(x), -1))
+        bends = lengths * np.abs(there.reshape(ends.shape) - rates)
+        return cls(rows, lengths, rates[..., 0], np.abs(ends), bends)
+
+    def starts(self, relative: float, absolute: float, path: StatePath) -> Starts | None:
+        """Return the longest lines, to a tolerance, of groups of states, if any.
+
+        Args:
+            relative, absolute: By how much lines bend, the absolute value in nominal values.
+            path: From which these lead.
+        """
+        most = relative * self.sizes + absolute * path.sizes[:, None, None]
+        calm: Truths = self.bends <= most
+        alone = path.alone(calm)
+        which, own = np.nonzero((alone & (alone.cumsum(axis=-1) == 1)).any(axis=0))
+        known = self.rows[which], self.lengths[which, own], self.rates[:, which]
+        return Starts(*known, calm[:, which, own]) if len(which) else None
 
 
 def _longest(calm: Truths, t: Vector) -> list[tuple[int, int]]:

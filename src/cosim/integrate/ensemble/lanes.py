@@ -20,10 +20,11 @@ from cosim.integrate.growth import growing_starts
 from cosim.integrate.initial_values import start_values
 from cosim.integrate.outputs import recorded_columns, watching
 from cosim.memo import cached_per_thread
-from cosim.model.growth import SHORTEST, controlled_half
+from cosim.model.growth import controlled_half
 from cosim.model.many_values import ManyValues
 from cosim.model.request import OnInvalid, RunRequest
 from cosim.model.solver import Tolerance
+from cosim.model.state_path import SHORTEST
 from cosim.model.values import Values, error_sizes
 from cosim.text import Ending, EndKind, Violation, violated
 
