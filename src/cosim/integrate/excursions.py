@@ -82,7 +82,7 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
         steps: Number of steps.
     """
     nodes = np.linspace(path.time[0], path.time[-1], _PARTS * steps + 1)
-    pads = _bends(path, nodes)
+    pads = _off_lines(path, nodes)
     jumps = path.time[1:][np.diff(path.time) == 0]  # a mode that jumps there passes over nothing
     return [
         (term, edges)
@@ -92,7 +92,7 @@ def excursions(terms: SeveralTerms, path: Path, p: Vector, steps: int) -> list[t
     ]
 
 
-def _bends(path: Path, nodes: Vector) -> Vector:
+def _off_lines(path: Path, nodes: Vector) -> Vector:
     """Return how far what moves may be from lines between nodes, (moving, n): as next to them."""
     ends, middles = path.at(nodes).moved, path.at((nodes[:-1] + nodes[1:]) / 2).moved
     off = np.abs(ends[:, :-1] - 2 * middles + ends[:, 1:])

@@ -329,13 +329,17 @@ def _exponent(t: Vector, slopes: Vector, end: Vector | float = -np.inf) -> Vecto
 
 def _growth_rates(slopes: Vector) -> Vector:
     """Return the largest real part of the eigenvalues at places, 1/s, (...)."""
-    every = slopes.reshape(-1, *slopes.shape[-2:])
-    before = np.roll(every, 1, axis=0)
-    changes = np.abs(every - before) > _SAME * np.abs(every)
+    new, which = _distinct(slopes.reshape(-1, *slopes.shape[-2:]))
+    rates: Vector = np.linalg.eigvals(new).real.max(axis=1)[which]
+    return rates.reshape(slopes.shape[:-2])
+
+
+def _distinct(slopes: Vector) -> tuple[Vector, Integers]:
+    """Return the slopes that differ from those before, (m, nx, nx), and which is at each place."""
+    changes = np.abs(slopes - np.roll(slopes, 1, axis=0)) > _SAME * np.abs(slopes)
     new = np.asarray(changes.any(axis=(1, 2)))  # few are, near a rest
     new[:1] = True
-    rates: Vector = np.linalg.eigvals(every[new]).real.max(axis=1)[new.cumsum() - 1]
-    return rates.reshape(slopes.shape[:-2])
+    return slopes[new], new.cumsum() - 1
 
 
 def _steady(slopes: Vector) -> Truths:
@@ -435,11 +439,8 @@ class _Course:
         rows, slopes = _slopes_at_places(path, first, last)
         if not len(rows) or rows[0] != first:
             return None
-        at_rest = (slopes == slopes[0]).all()
-        values, left = (
-            np.broadcast_to(own, (len(rows), *own.shape[1:]))
-            for own in np.linalg.eig((slopes[:1] if at_rest else slopes).transpose(0, 2, 1))
-        )
+        new, which = _distinct(slopes)
+        values, left = (own[which] for own in np.linalg.eig(new.transpose(0, 2, 1)))
         own = path.grows  # others, as those that only events change, push at most
         left = left / np.fmax(np.linalg.norm(left[:, own], axis=1, keepdims=True), _EPS)
         amounts = np.abs(left[:, own])
