@@ -36,7 +36,9 @@ SHAPES = {
     "pulse": lambda c, m: m.exp(-(c**2)),
 }
 SCIPY = ("DOP853", "RK45", "LSODA", "BDF")
+CASADI = ("cvodes", "idas", "collocation", "rk")  # its integrators, without this project
 NATIVE = ("dop853", "cvodes")
+OTHERS = ("cvodes_adams", "idas", "erk", "rosenbrock", "rk4", "ode8")
 
 
 def model(shape: str) -> cosim.Dae:
@@ -70,6 +72,15 @@ def by_scipy(shape: str, place: float, width: float, method: str, closely: bool)
         if begin < end:
             x = solve_ivp(slope, (begin, end), x, method, max_step=longest, **tolerances).y[:, -1]
     return float(x[0])
+
+
+def by_casadi(dae: cosim.Dae, values: dict[str, float], method: str) -> float:
+    """Return the height at the end, by CasADi's integrator with rows of the model's interval."""
+    laws = {"t": dae.t, "x": dae.x, "p": dae.p, "ode": dae.ode}
+    options = {"reltol": 1e-8, "abstol": 1e-10} if method in ("cvodes", "idas") else {}
+    rows = np.linspace(0, STOP, 15)
+    whole = ca.integrator("whole", method, laws, 0, rows, options)
+    return float(whole(x0=dae.x_start, p=[values[p.name] for p in dae.parameters])["xf"][2, -1])
 
 
 def outputs(count: int) -> None:
@@ -111,7 +122,9 @@ def main(count: int) -> None:
         area = HEIGHT * width / SPEED * 5  # of the response to an impulse: its largest value
         found = {f"scipy {m}": (by_scipy(shape, place, width, m, False), "") for m in SCIPY}
         values = {"place": place, "width": width}
-        for solver in NATIVE:
+        for method in CASADI:
+            found[f"casadi {method}"] = by_casadi(models[shape], values, method), ""
+        for solver in NATIVE + OTHERS:
             run = cosim.simulate(models[shape], solver=solver, start_values=values)
             found[f"cosim {solver}"] = run["h"][-1], run.stats.get("note", "")
         for interface in ("CoSimulation", "ModelExchange"):
