@@ -41,7 +41,8 @@ static inline int integrate_part(Integrate *integrate, Problem *self, Grid part,
     double dx[NX], state[NX];
     const bool begins_near = part.end <= near || (part.points > 0 && part.times[0] <= near);
     if (!begins_near) return integrate(self, &part, x, course);
-    if (equations_at(self, part.begin, x, dx, NULL) || !is_finite(dx)) memset(dx, 0, sizeof dx);
+    if (equations_at(self, part.begin, x, dx, part.first) || !is_finite(dx))
+        memset(dx, 0, sizeof dx);
     /* no solver begins with an output time so near, up to which the motion is a line */
     for (; part.points > 0 && part.times[0] <= near; skip_columns(&part, 1)) {
         move_along(x, dx, part.times[0] - part.begin, state);
@@ -56,7 +57,7 @@ static inline int integrate_part(Integrate *integrate, Problem *self, Grid part,
 static inline int integrate_timed(Integrate *integrate, Problem *self, Watch *watch,
                                   const Grid *grid, double *x, Course *course) {
     Grid left = *grid;
-    if (!watch) return integrate(self, grid, x, course);
+    if (!watch) return integrate_part(integrate, self, left, x, course);
     for (;;) {
         const Grid part = untimed_part(&left, watch->switching);
         const bool is_last = part.end == left.end && part.turns == left.turns;

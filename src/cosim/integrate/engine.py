@@ -61,6 +61,8 @@ class Problem:
         most_instants: Instants with events after which a run ends.
         most_steps: Steps from one output time to the next after which an engine that does not end
             at events fails.
+        ends: Times between them at which a step ends and a fresh one begins, s, in the same form;
+            only for engines of compiled equations with `takes_times`.
     """
 
     dae: Dae
@@ -76,6 +78,7 @@ class Problem:
     system: Hybrid | None = None
     most_instants: float = inf
     most_steps: int = MOST_STEPS
+    ends: bytes = b""
 
     @property
     def grid(self) -> Vector:

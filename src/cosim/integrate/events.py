@@ -58,17 +58,20 @@ def integrate(problem: Problem, solver: Solver, start: InitialState) -> Motion:
     breaks = problem.inputs is not None and problem.inputs.breaks.size
     smooth = problem.dae if system is None else system.dae
     span = float(problem.grid[0]), float(problem.grid[-1])
-    pulses = np.empty(0)
+    pulses, none = np.empty(0), np.empty(0)
+    takes_ends = problem.compiled and solver.takes_times
     if isinstance(solver, FixedStep):  # the others are repeated where they pass over changes
         pulses = pulse_times(smooth, start.values.p, *span, solver.step(problem))
 
     def attempt(closer: Closer | None, grid: Vector, ends: Vector) -> Motion:
-        own = replace(problem, times=grid.tobytes())
-        part = closer is not None and closer.until < grid[-1]
-        if system is not None or breaks or len(pulses) or len(ends) or part:
+        every = np.union1d(pulses, ends)
+        taken, stops = (every, none) if takes_ends else (none, every)
+        own = replace(problem, times=grid.tobytes(), ends=taken.tobytes())
+        if closer and closer.until < grid[-1]:
+            stops = np.union1d(stops, closer.until)
+        if system is not None or breaks or len(stops):
             no_events = Hybrid(problem.dae, (), (), ())
-            every = np.union1d(pulses, [*ends, closer.until] if closer and part else ends)
-            return _Course(own, system or no_events, solver, start, every, closer).run()
+            return _Course(own, system or no_events, solver, start, stops, closer).run()
         found = scaled_call(_with_shares(own, closer), solver, start)
         u = input_values(problem.dae, grid, start.values, problem.inputs)
         n = found.states.shape[1]
@@ -153,7 +156,7 @@ class _Course:
         system: Hybrid,
         solver: Solver,
         start: InitialState,
-        pulses: Vector,
+        stops: Vector,
         closer: Closer | None,
     ) -> None:
         self.problem, self.system, self.solver, self.closer = problem, system, solver, closer
@@ -162,7 +165,7 @@ class _Course:
         self.series = problem.inputs and problem.inputs.with_jumps_at(self.grid)
         rates = {name: self.dae.inputs[i].name for name, i in input_rates(self.dae).items()}
         self.rated = self.series and self.series.with_rates(rates)
-        self.pulses = pulses
+        self.stops = stops  # further ends of pieces
         n = len(self.grid)
         sizes = len(start.x), len(start.z), len(system.dae.inputs)
         self.states, self.algebraics, self.u = (np.empty((n, size)) for size in sizes)
@@ -308,10 +311,10 @@ class _Course:
     def _target(self, series: InputSeries | None) -> _Target:
         """Return the end of the next piece: what comes first, or the end of the window."""
         due = np.inf if self.passes_time else self._next_due()
-        ends = series.breaks if series else np.empty(0), self.pulses
+        ends = series.breaks if series else np.empty(0), self.stops
         later = (times[times.searchsorted(self.at.t, "right") :] for times in ends)
-        jump, pulse = (float(times[0]) if len(times) else np.inf for times in later)
-        time = min(due, jump, pulse, self.window.end(self.at.t))
+        jump, stop = (float(times[0]) if len(times) else np.inf for times in later)
+        time = min(due, jump, stop, self.window.end(self.at.t))
         return _Target(time, time == jump)
 
     def _piece_to(self, target: _Target, series: InputSeries | None) -> tuple[Piece, _Target]:

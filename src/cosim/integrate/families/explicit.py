@@ -87,8 +87,11 @@ def explicit_engine(
     path, constants = _compiled(dae, inputs, problem.project, name, method, system)
     grid, breaks = problem.grid, np.empty(0)
     selected: NDArray[np.intp] | None = None
+    samples = np.frombuffer(problem.ends)
     if inputs is not None and any(settings[:2]):  # error control would reject steps over kinks
-        grid, breaks, selected = _with_samples(grid, inputs.time)
+        samples = np.append(samples, inputs.time)
+    if len(samples):
+        grid, breaks, selected = _with_samples(grid, samples)
     columns = len(grid) if problem.piecewise else 1
     library = ctypes.CDLL(path)
     nominal = problem.nominal or (1.0,) * len(dae.states)
