@@ -16,7 +16,8 @@ from cosim.codegen.changes import Bounds, bent_parts, parted, with_surroundings
 from cosim.memo import cached_per_thread
 
 _IN_STEP, _MOST_CELLS = 4, 4_000  # parts of a step, within which a term is a line; of a run
-_NAMES = ["s", "p"], ["terms"]
+_NAMES = ["s", "p"], ["term"]
+_CSE = {"cse": True}
 _STEPS = 50  # at least, in a run
 _INNER = 16  # samples of a part of a change
 
@@ -27,32 +28,34 @@ class Terms:
 
     Attributes:
         moving: The position of the state; that of time is after all states.
-        values: `(moving, p) -> terms`, (n,).
-        bends: `(moving, length, p) -> bounds of how far from lines`, two of each, (n,).
-        bounded: Whether these are known, (n,).
+        values: For each term, `(moving, p) -> term`.
+        bends: For each term, `(moving, length, p) -> bounds of how far from a line`, two; None
+            where these are not known.
         tables: The terms that call tables.
-        alone: Whether they are nothing but a table along a line, (n,).
+        alone: For each term, whether it is nothing but a table along a line.
     """
 
     moving: int
-    values: ca.Function
-    bends: ca.Function
-    bounded: tuple[bool, ...]
+    values: tuple[ca.Function, ...]
+    bends: tuple[ca.Function | None, ...]
     tables: tuple[InnerTerm, ...]
     alone: tuple[bool, ...]
 
     def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
         """Return a term as a function of what moves."""
-        return lambda at: np.asarray(np.array(self.values(at[None], p))[term, : len(at)])
+        return lambda at: np.asarray(np.array(self.values[term](at[None], p))[0, : len(at)])
 
     def off(self, term: int, p: Vector) -> Bounds | None:
         """Return bounds of its distance from a line, from begins and lengths; None if unknown."""
+        bends = self.bends[term]
+        if bends is None:
+            return None
 
         def bound(begins: Vector, lengths: Vector) -> Vector:
-            bounds = self.bends(begins[None], lengths[None], p)
-            return np.fmin(*(np.array(off)[term, : len(begins)] for off in bounds))
+            bounds = bends(begins[None], lengths[None], p)
+            return np.fmin(*(np.array(off)[0, : len(begins)] for off in bounds))
 
-        return bound if self.bounded[term] else None
+        return bound
 
 
 @cached_per_thread(32)
@@ -61,15 +64,16 @@ def terms_of(dae: Dae) -> tuple[Terms, ...]:
     found, length = list[Terms](), SX.sym("length")
     for moving, terms in single_terms(dae).items():
         s = ca.vertcat(dae.x, dae.t)[moving]
-        known = [bounds_along(term, s, length) for term in ca.vertsplit(terms)]
-        rows = [bounds or (SX(0), SX(0)) for bounds in known]
-        ends = [ca.densify(ca.vertcat(*(row[i] for row in rows))) for i in (0, 1)]
-        values = ca.Function("values", [s, dae.p], [terms], *_NAMES, {"cse": True})
-        bends = ca.Function("bends", [s, length, dae.p], ends, {"cse": True})
+        own = ca.vertsplit(terms)
+        values = tuple(ca.Function("value", [s, dae.p], [term], *_NAMES, _CSE) for term in own)
+        known = (bounds_along(term, s, length) for term in own)
+        bends = tuple(
+            bounds and ca.Function("bends", [s, length, dae.p], [*map(ca.densify, bounds)], _CSE)
+            for bounds in known
+        )
         tables = tuple(t for t in inner_terms(dae) if t.movers == (moving,) and t.tables)
-        bounded = tuple(b is not None for b in known)
-        alone = tuple(_is_table_alone(term, s) for term in ca.vertsplit(terms))
-        found.append(Terms(moving, values, bends, bounded, tables, alone))
+        alone = tuple(_is_table_alone(term, s) for term in own)
+        found.append(Terms(moving, values, bends, tables, alone))
     return tuple(found)
 
 
@@ -116,7 +120,7 @@ def _pulses(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> li
     longest = longest or (end - begin) / _STEPS
     count = int(np.clip(np.ceil(_IN_STEP * (end - begin) / longest), 1, _MOST_CELLS))
     cells = np.linspace(begin, end, count + 1)
-    for i in range(len(terms.bounded)):
+    for i in range(len(terms.values)):
         values = terms.value(i, p)
         for edges in bent_parts(values, terms.off(i, p), cells, np.empty(0)):
             if len(edges) == 1:  # no solver can see what is shorter than rounding
@@ -132,5 +136,5 @@ def pulse_parameters(dae: Dae) -> tuple[str, ...]:
     terms = _of_time(dae)
     if terms is None or not dae.parameters:
         return ()
-    which = terms.values.which_depends("p", ["terms"])
+    which = np.any([value.which_depends("p", ["term"]) for value in terms.values], axis=0)
     return tuple(v.name for v, depends in zip(dae.parameters, which, strict=True) if depends)

@@ -133,7 +133,7 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
     edges = np.linspace(low, high, count + 1)
     knots = _knots(dae, terms, p, edges)
     reached, found = np.unique(np.clip(edges, x.min(), x.max())), list[tuple[int, Vector]]()
-    for term in range(len(terms.bounded)):
+    for term in range(len(terms.values)):
         values, off, is_table = terms.value(term, p), terms.off(term, p), terms.alone[term]
         parts = bent_parts(values, off, edges, knots, is_table=is_table)
         if not parts and not np.ptp(values(edges)) <= _LARGER * np.ptp(values(reached)):
