@@ -38,6 +38,24 @@ def test_a_bump_is_found_and_only_cells_without_bounds_are_sampled(known):
     assert np.isin(far, EDGES).all() == (known is not None)
 
 
+def test_long_cells_in_which_a_function_is_near_a_line_are_looked_at_as_one():
+    """A wave of 200 cells, with a bump between two edges."""
+    looked_at = []
+
+    def values(at):
+        return np.sin(np.pi * at) + 3 * bump(at)
+
+    def off(begins, widths):
+        looked_at.extend(begins)
+        of_bump = 3 * np.minimum((widths / WIDTH) ** 2 / 4, 1)
+        return (np.pi * widths) ** 2 / 8 + np.where(np.isnan(bounds(begins, widths)), of_bump, 0)
+
+    found = bent_parts(values, off, EDGES, np.empty(0))
+    assert [True for edges in found if edges[0] < PLACE < edges[-1]]
+    assert all(abs(edges - PLACE).max() < 0.01 for edges in found)
+    assert len(looked_at) < CELLS
+
+
 @pytest.mark.parametrize("kind", ["linear", "bspline"])
 def test_a_table_is_sampled_less_and_its_narrow_changes_are_found(kind):
     knots = np.unique(np.concatenate((np.linspace(0, 10, 40), PLACE + WIDTH * np.arange(-8, 9))))

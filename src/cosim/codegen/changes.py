@@ -11,6 +11,7 @@ from cosim.series.curves import graded
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
 FLAT = 1e-3  # change of a resting function in a part, as a share of its range
 _AT_ONCE, _MOST_CELLS, _DEEPEST, _MOST_ROUNDS = 512, 8_000, 50, 200  # cells; halvings of one
+_STRIDES = 64, 8  # cells that are looked at as one
 _SAMPLES, _OF_TABLE = 64, 4  # of a cell, without bounds; if a table's knots are known
 _ROUNDINGS = 64  # within which edges are one
 _PARTS = 8  # of the range of a term and of the time of a pulse, at whose ends a step ends
@@ -65,7 +66,10 @@ def bent_parts(
         knots: Values of the variable at which the function has samples of its own.
         is_table: Whether it is a line or a cubic between these, if there are any.
     """
-    changes = unseen(edges) if bounds is None else changing_parts(values, bounds, edges)
+    if bounds is None:
+        changes = unseen(edges)
+    else:
+        changes = changing_parts(values, bounds, _joined(values, bounds, edges))
     count = _OF_TABLE if is_table and len(knots) else _SAMPLES
     sampled = [] if changes.is_whole else _sampled_changes(values, edges, knots, changes, count)
     found = list(changes.pinched[:, None])
@@ -125,6 +129,24 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     begins, widths = begins[halved & line][order], widths[halved & line][order]
     parts = _changing(values, begins, begins + widths, high - low)
     return Changes(parts, low, high, unknown, np.array(pinched))
+
+
+def _joined(values: Values, bounds: Bounds, edges: Vector) -> Vector:
+    """Return the edges without those within longer cells in which a function is near one line.
+
+    It is at most twice as far from a line between any two of its values there.
+    """
+    last = len(edges) - 1
+    size = np.ptp(values(edges[:: _STRIDES[0]]))  # at most the range
+    kept = np.ones(last + 1, dtype=bool)
+    for stride in _STRIDES:
+        first = np.arange(0, last, stride)
+        first = first[kept[np.minimum(first + 1, last)]]
+        ends = np.minimum(first + stride, last)
+        straight = _off(bounds, edges[first], edges[ends] - edges[first]) <= _STRAIGHT / 2 * size
+        inner = first[straight, None] + np.arange(1, stride)
+        kept[inner[inner < ends[straight, None]]] = False
+    return edges[kept]
 
 
 def _off(bounds: Bounds, begins: Vector, widths: Vector) -> Vector:

@@ -17,7 +17,7 @@ from casadi_models.dae.expressions import symbols
 from casadi_models.dae.relations import modes_of
 from casadi_models.dae.single_terms import several_terms
 from casadi_models.dae.time_bounds import bounds_within
-from cosim.arrays import Vector
+from cosim.arrays import Integers, Vector
 from cosim.codegen.changes import bent_parts
 from cosim.codegen.landmarks import localized_inverses
 from cosim.integrate.motion import Path
@@ -100,6 +100,13 @@ def _off_lines(path: Path, nodes: Vector) -> Vector:
     return np.asarray(np.maximum(off, np.maximum(around[:, :-2], around[:, 2:])))
 
 
+def _largest(rows: Vector, begins: Integers, ends: Integers) -> Vector:
+    """Return the largest values of rows, (k, n), from begins to before ends, (k, m)."""
+    edges = np.column_stack((begins, ends)).ravel()
+    padded = np.pad(rows, ((0, 0), (0, 1)))  # an end may be n
+    return np.asarray(np.maximum.reduceat(padded, edges, axis=1)[:, ::2])
+
+
 def _of_term(
     terms: SeveralTerms, term: int, path: Path, p: Vector, nodes: Vector, pads: Vector
 ) -> list[Vector]:
@@ -116,8 +123,9 @@ def _of_term(
         return terms.along(term, p, path.at(times))
 
     def off(begins: Vector, lengths: Vector) -> Vector:
-        cells = np.searchsorted(nodes, begins + lengths / 2) - 1
-        pad = pads[:, cells] * (lengths / np.diff(nodes)[cells]) ** 2  # in parts, lines are closer
+        cells = np.clip(nodes.searchsorted(begins, "right") - 1, 0, len(nodes) - 2)
+        beyond = np.clip(nodes.searchsorted(begins + lengths), cells + 1, len(nodes) - 1)
+        pad = _largest(pads, cells, beyond) * (lengths / np.diff(nodes)[cells]) ** 2
         first, last = path.at(begins).moved, path.at(begins + lengths).moved
         span = np.minimum(first, last) - pad, np.maximum(first, last) + pad
         least, most = (np.array(end)[0, : len(begins)] for end in terms.bounds[term](*span, p))
