@@ -137,7 +137,8 @@ def _joined(values: Values, bounds: Bounds, edges: Vector) -> Vector:
     It is at most twice as far from a line between any two of its values there.
     """
     last = len(edges) - 1
-    size = np.ptp(values(edges[:: _STRIDES[0]]))  # at most the range
+    with np.errstate(invalid="ignore"):  # of what grows beyond all numbers
+        size = np.ptp(values(edges[:: _STRIDES[0]]))  # at most the range
     kept = np.ones(last + 1, dtype=bool)
     for stride in _STRIDES:
         first = np.arange(0, last, stride)
