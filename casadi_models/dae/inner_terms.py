@@ -110,10 +110,10 @@ def _fixed(terms: Iterable[InnerTerm], jumping: SX) -> tuple[InnerTerm, ...]:
     return tuple(term for term in terms if not ca.depends_on(term.value, jumping))
 
 
-def in_waves(dae: Dae, term: InnerTerm) -> Iterator[InnerTerm]:
-    """Yield a term as a function of each quantity in it that its variable moves by a wave."""
-    waves = {ca.OP_SIN, ca.OP_COS}
-    if any(value.op() in waves for _, value, _ in in_postorder([term.value])):
+def quantities_in(dae: Dae, term: InnerTerm, *, waves: bool = False) -> Iterator[InnerTerm]:
+    """Yield a term as a function of each quantity in it that its variable moves, by waves alone."""
+    codes = {value.op() for _, value, _ in in_postorder([term.value])}
+    if not waves or codes & {ca.OP_SIN, ca.OP_COS}:
         for own in _alone(dae, term.movers, term.symbol, term.value):
             yield own._replace(variable=ca.substitute(own.variable, term.symbol, term.variable))
 

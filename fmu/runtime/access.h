@@ -163,7 +163,9 @@ static Status set_values(Instance *self, const Reference references[], size_t co
     if (!retuned) return OK;
     self->state.retuned = true;
     renew_constants(self);
-    if (runs) rebase_samples(self, counts);
+    if (!runs) return OK;
+    rebase_samples(self, counts);
+    warn_of_parameters(self);
     return OK;
 }
 

@@ -20,6 +20,7 @@
    model_bounds             t, x, z, u, p, length (1)             -> low, high
    model_enclosure          t, length (1), low, high, slowest, fastest, u, p -> low, high
    model_conditions         t, x, z, u, p                         -> conditions, values, defect (1)
+   model_warnings           p                                     -> values
    model_step               x, z_guess, (t, h, tolerance, u, du, c) -> x_end, z_end, slopes
 
    The constants c are the parameters and, after them, what depends on parameters alone: they are
@@ -48,12 +49,13 @@
    inputs and their rates are within spans. model_conditions gives the conditions of the
    events, the values that they assign, and the largest violation of an invariant. model_limits
    and model_limit_rates give such bounds of the margins of `bounded_limits`, the former the lower
-   ones, and of their rates.
+   ones, and of their rates. model_warnings gives values that are not positive where parameters ask
+   for a warning.
 
    The functions of rank are there where model.h has HAS_RANK 1, model_adjoint where it has
    HAS_ADJOINT 1, model_step where SOLVER_DOP853 is 0, the functions of events where HAS_EVENTS
-   is 1, model_bounds where BOUNDED, model_enclosure where ENCLOSED and those of limits
-   where BOUNDED_LIMITS is positive. */
+   is 1, model_bounds where BOUNDED, model_enclosure where ENCLOSED, those of limits
+   where BOUNDED_LIMITS and model_warnings where N_WARNINGS is positive. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
@@ -75,6 +77,6 @@ static Equation model_algebraic, model_ode, model_outputs;
 static Equation model_directional, model_adjoint, model_jacobian, model_step;
 static Equation model_rank, model_rank_rate, model_project;
 static Equation model_relations, model_rounding, model_timed, model_conditions, model_bounds;
-static Equation model_enclosure, model_limits, model_limit_rates;
+static Equation model_enclosure, model_limits, model_limit_rates, model_warnings;
 
 #endif

@@ -18,6 +18,23 @@ static const double LOW_RANK = 0.1; /* of the constraints, 1 at best: a likely c
 #endif
 static const double LARGEST_DEFECT = 1e-9; /* scaled residual of a calculated start value */
 
+/* Warn of changes of the equations that parameters have moved, or made short. */
+static void warn_of_parameters(Instance *self) {
+#if N_WARNINGS > 0
+    double values[N_WARNINGS];
+    self->arg[0] = self->constants;
+    self->res[0] = values;
+    if (model_warnings(self->arg, self->res, self->iw, self->w, 0)) return;
+    for (int i = 0; i < N_WARNINGS; i++)
+        if (values[i] <= 0)
+            log_text(self, WARNING,
+                     "%s, which a solver may step over; export the model with the new value",
+                     warnings[i]);
+#else
+    (void)self;
+#endif
+}
+
 static bool all_finite(const double values[], int count) {
     for (int i = 0; i < count; i++)
         if (!isfinite(values[i])) return false;

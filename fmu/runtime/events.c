@@ -43,18 +43,6 @@ static void log_happening(Instance *self, const Happening *found) {
 
 /* -- the start -------------------------------------------------------------------------------- */
 
-/* A parameter that moves a short change of the equations, which a solver may step over. */
-static void warn_of_pulses(Instance *self) {
-    for (const int *place = pulse_parameters; *place >= 0; place++) {
-        const VariableInfo *parameter = &variables[FIRST_PARAMETER + *place];
-        if (self->state.values[FIRST_PARAMETER + *place] != parameter->start)
-            log_text(self, WARNING,
-                     "%s moves a short change of the equations, which a solver may step over; "
-                     "export the model with the new value",
-                     parameter->name);
-    }
-}
-
 Status start_events(Instance *self) {
     const Laws laws = laws_of(self);
     const Point at = present(self);
@@ -64,7 +52,6 @@ Status start_events(Instance *self) {
                       "stop '%s' is true at the start already; give a condition that becomes true "
                       "later",
                       rule_messages[found.part]);
-    warn_of_pulses(self);
     log_sliding(self);
     return refuse_ending(self, ERROR, &found, NULL);
 }

@@ -36,6 +36,7 @@ static Status finish_initialization(Instance *self) {
     if (refresh(self, START_VALUES | ALGEBRAICS) != OK)
         return refuse(self, ERROR, "initialization failed; change start values or parameters");
     if (start_events(self) != OK) return ERROR;
+    warn_of_parameters(self);
     const bool events = self->state.interface == INTERFACE_ME || self->host.event_mode;
     self->state.mode = events ? EVENT_MODE : STEP_MODE;
     if (self->state.interface == INTERFACE_ME) return OK;

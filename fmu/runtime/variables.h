@@ -73,10 +73,10 @@ enum {
 enum { N_INDICATORS = N_LIMITS + N_WATCHED };
 
 /* variables, limits (what is true while the model holds) and violations (what is wrong where it
-   does not), and with HAS_EVENTS the tables of solvers/hybrid/laws.h, MODEL_LAWS (these and the
-   model's functions, as solvers/model_laws.h has them), the names of relations and rules,
-   rule_messages (what ends the run; empty where it goes on), pulses (times at which steps end, so
-   that none spans a pulse) and pulse_parameters, on which these times depend; -1 ends the list */
+   does not), warnings (what may follow from parameters), and with HAS_EVENTS the tables of
+   solvers/hybrid/laws.h, MODEL_LAWS (these and the model's functions, as solvers/model_laws.h has
+   them), the names of relations and rules, rule_messages (what ends the run; empty where it goes
+   on) and pulses (times at which steps end, so that none spans a pulse) */
 #include "tables.h"
 
 #endif

@@ -5,8 +5,9 @@ which a term of one state changes is a relation, whose sign changes there: a sol
 events starts anew at these places, with steps from one to the next.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -17,43 +18,33 @@ from casadi_models.dae.expressions import at_irregular_place, column, in_postord
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
-    in_waves,
     inner_terms,
     inner_terms_of_several,
     is_table,
     parameters_of,
+    quantities_in,
 )
 from casadi_models.dae.relations import modes_of
-from casadi_models.dae.time_bounds import bounds_along, bounds_within
+from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Integers, Truths, Vector
-from cosim.codegen.changes import (
-    FLAT,
-    Changes,
-    Values,
-    apart,
-    changes_between,
-    changing_parts,
-    parted,
-    unseen,
-    with_surroundings,
-)
+from cosim.codegen.changes import FLAT
 from cosim.codegen.knots import knots_of
+from cosim.codegen.term_changes import (
+    ANYWHERE,
+    FARTHEST,
+    REACH,
+    SEEN,
+    Change,
+    changes_in_waves,
+    changes_of,
+    growing_of,
+    last_flat,
+    short_ones,
+)
 from cosim.memo import cached_per_thread
 
-_FARTHEST = 1e6  # largest value of a variable that is searched, in its unit
-_REACH = np.array([-_FARTHEST, _FARTHEST])
-_BEYOND = np.array([1e9, 1e12, 1e15])  # where the search of a term goes on that rests there
-_ANYWHERE = 1e20  # of the others meanwhile: as if they had no end, but for their powers
-_SEEN = 0.5  # least difference of a term before and after its change, as a share of its range,
-#              that a step over it sees
-_INNER = 64  # samples of a part of a change
-_NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step sees
-_IN_ONE, _MOST = 64, 500  # places in a change, and of all terms of a state
-_LEAST_SIZE, _GREATEST_SIZE = 1e-12, 1e30  # of a term that grows, where its places are
-_GROWTH = 28.0  # asinh(value / _LEAST_SIZE) of a value near 1, about which they are dense
-_SUDDEN = 0.02  # share of the size of what moves a term, in which it may turn within a step
+_MOST = 500  # places of all terms of a state
 _ACROSS = 9  # places on the way of one of several states through the only part where a term moves
-_SECTIONS, _ZOOMS = 16, 18  # of the way to such a part; each time, into one of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +54,8 @@ class Landmarks:
     Attributes:
         arguments: Expressions of states or time, and parameters, that change their signs there,
             (n, 1).
+        gentle: How far parameters keep changes from being short which are not with the start
+            values, (1, 1) each; not positive: they are short, as the keys tell.
         times: Those of time that parameters do not move, s, ascending.
         moving: Names of the states with such terms, those of one joined by commas; "time" for
             those of time.
@@ -72,30 +65,12 @@ class Landmarks:
     """
 
     arguments: SX
+    gentle: Mapping[str, SX]
     times: Vector
     moving: tuple[str, ...]
     followed: tuple[str, ...]
     given: tuple[str, ...]
     passed: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """Where a term changes.
-
-    Attributes:
-        term: The term.
-        places: Values of its variable there.
-        is_step: Whether a step over all of them sees a change.
-        is_whole: Whether `places` are all of them, and not a selection.
-        is_wave: Whether the variable moves to and fro as what moves it goes on.
-    """
-
-    term: InnerTerm
-    places: Vector
-    is_step: bool
-    is_whole: bool = True
-    is_wave: bool = False
 
 
 @cached_per_thread(16)
@@ -116,8 +91,16 @@ def landmarks(dae: Dae) -> Landmarks:
             passed.append(", ".join(names[i] for term in several.each for i in term.movers))
         every_change += across or []
     rows, times, moving, given = list[SX](), [np.empty(0)], list[str](), set[str]()
-    for changes in filter(None, map(_unseen, _by_direction(dae, every_change))):
-        name = ", ".join(names[i] for i in changes[0].term.movers)
+    gentle = dict[str, SX]()
+    for every in filter(None, map(_unseen, _by_direction(dae, every_change))):
+        name = ", ".join(names[i] for i in every[0].term.movers)
+        changes = short_ones(dae, every, p)
+        for change in every:
+            if change not in changes and (own := _depends(dae, change.surplus)):
+                key = f"a change of {name} is short with the new {', '.join(own)}"
+                gentle[key] = ca.fmin(gentle.get(key, SX.inf()), change.surplus)
+        if not changes:
+            continue
         moving.append(name)
         fixed = [change for change in changes if _has_fixed_times(dae, change)]
         for change in fixed:
@@ -133,6 +116,7 @@ def landmarks(dae: Dae) -> Landmarks:
     arguments = column(rows)
     return Landmarks(
         arguments=arguments,
+        gentle=gentle,
         times=np.unique(np.concatenate(times)),
         moving=tuple(moving),
         followed=tuple(_depends(dae, arguments)),
@@ -141,23 +125,26 @@ def landmarks(dae: Dae) -> Landmarks:
     )
 
 
-def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[_Change], set[int]]:
+def _changes_of_one(dae: Dae, p: Vector) -> tuple[list[Change], set[int]]:
     """Return where terms of one variable change, and the places of those in tables without knots.
 
     A place counts states, time, algebraic unknowns and inputs.
     """
-    found, unknown = list[_Change](), set[int]()
+    found, unknown = list[Change](), set[int]()
     for term in inner_terms(dae):
         of_tables = term.tables and all(is_table(function) for function, _ in term.tables)
         if of_tables and not len(knots_of(term)):
             unknown.update(term.movers)
-        found += _changes(dae, term, p) or _changes_in_waves(dae, term, p) or _growing(dae, term, p)
+        free = (own for own in quantities_in(dae, term) if term.given and not own.given)
+        growing = (growing_of(dae, own, p) for own in chain([term], free))
+        changes = changes_of(dae, term, p) or changes_in_waves(dae, term, p)
+        found += changes or next(filter(None, growing), [])
     return found, unknown
 
 
-def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
+def _by_direction(dae: Dae, changes: Iterable[Change]) -> list[list[Change]]:
     """Return changes in groups of one direction; one with two factors in the equations is one."""
-    groups = dict[tuple[float, ...], dict[tuple[int, bytes], _Change]]()
+    groups = dict[tuple[float, ...], dict[tuple[int, bytes], Change]]()
     for change in changes:
         key = change.term.variable.element_hash(), change.places.tobytes()
         direction = key[:1] if change.is_wave else _direction(dae, change.term)
@@ -165,13 +152,13 @@ def _by_direction(dae: Dae, changes: Iterable[_Change]) -> list[list[_Change]]:
     return [[*group.values()] for group in groups.values()]
 
 
-def _unseen(changes: list[_Change]) -> list[_Change]:
+def _unseen(changes: list[Change]) -> list[Change]:
     """Return the changes in one direction that a step over all of them does not see."""
     steps = sum(change.is_step for change in changes)
     return [change for change in changes if not change.is_step or steps > 1]
 
 
-def _has_fixed_times(dae: Dae, change: _Change) -> bool:
+def _has_fixed_times(dae: Dae, change: Change) -> bool:
     """Return whether a change is at times that follow no parameter during a run."""
     term = change.term
     if term.movers != (len(dae.states),) or ca.depends_on(dae.driving_outputs, dae.t):
@@ -180,7 +167,7 @@ def _has_fixed_times(dae: Dae, change: _Change) -> bool:
     return is_known and is_line(dae, term)
 
 
-def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Change]:
+def _without_repeated(dae: Dae, changes: list[Change], p: Vector) -> list[Change]:
     """Return changes in one state without places near those of others, such as of its slopes.
 
     A place is left out that is nearer to another one than half of the way to its own neighbor.
@@ -188,7 +175,7 @@ def _without_repeated(dae: Dae, changes: list[_Change], p: Vector) -> list[_Chan
     """
     if not all(is_line(dae, change.term) for change in changes):
         return changes
-    every, found = np.empty(0), list[_Change]()
+    every, found = np.empty(0), list[Change]()
     for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
         with np.errstate(divide="ignore", invalid="ignore"):  # a factor may be 0 at the start
             at = way_of(dae, change.term, change.places, p)
@@ -209,148 +196,13 @@ def _direction(dae: Dae, term: InnerTerm) -> tuple[float, ...]:
     return tuple(np.round(found / found[np.argmax(np.abs(found))], 9).tolist())
 
 
-def _changes(dae: Dae, term: InnerTerm, p: Vector, near: Vector = _REACH) -> list[_Change]:
-    """Return where a term changes on the way of its variable, and rests before and after."""
-    knots = knots_of(term)
-    values, found = _bent(dae, term, knots, p, near)
-    far = np.concatenate((-_BEYOND[::-1], near, _BEYOND))
-    ends = values(far)
-    with np.errstate(invalid="ignore"):
-        rests = np.abs(ends[[1, -2]] - ends[[0, -1]]) <= FLAT * np.ptp(ends)
-    if rests.all():
-        beyond = _bent(dae, term, knots, p, far)[1]
-        found = beyond if beyond.is_whole else found
-    changes = list[_Change]()
-    for edges in apart(found.parts):
-        at = with_surroundings(edges, _INNER)
-        seen = values(at)
-        if np.isnan(seen).any():  # no motion goes there
-            continue
-        step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
-        changes.append(_change(term, at, seen, found, bool(step)))
-    if len(found.pinched):  # narrower than the search goes
-        changes.append(_Change(term, found.pinched, is_step=False, is_whole=False))
-    return changes
-
-
-def _growing(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
-    """Return where a term that grows beyond all numbers may act, if it does so suddenly.
-
-    Wherever what moves it turns, it returns: no step sees it as one of a slope. Its places
-    are those of its logarithm, whatever its unit and its factor are.
-    """
-    value = ca.Function("value", [term.symbol, dae.p], [term.value])
-
-    def is_beyond(at: Vector) -> Truths:
-        seen = np.abs(np.array(value(at.reshape(1, -1), p)).reshape(at.shape))
-        return np.asarray(seen > _GREATEST_SIZE)
-
-    reach = np.clip(_reach(dae, term, p), *_REACH)
-    grows = is_beyond(reach)
-    if not grows.any():
-        return []
-    inwards = 8 * np.spacing(_FARTHEST) * np.array([1, -1])
-    reach[grows] = _last_flat(is_beyond, reach[grows]) + inwards[grows]
-    scale = ca.tanh(ca.asinh(term.value / _LEAST_SIZE) / _GROWTH)
-    bounded, rests = term._replace(value=scale), reach.mean() if grows.all() else reach[~grows]
-    every = (_changes(dae, bounded, p, np.sort(np.append(end, rests))) for end in reach[grows])
-    return [
-        replace(change, term=term, places=change.places[::2], is_step=False)
-        for changes in every
-        for change in changes
-        if _is_sudden(dae, term, change.places[len(change.places) // 2 :][:3], p)
-    ]
-
-
-def _is_sudden(dae: Dae, term: InnerTerm, places: Vector, p: Vector) -> bool:
-    """Return whether places are in a small part of the way of a variable, which may turn there."""
-    if term.movers == (len(dae.states),):  # time does not turn
-        return False
-    moving, others = ca.vertcat(dae.x, dae.t, dae.z, dae.u), (*dae.algebraics, *dae.inputs)
-    sizes = [*(v.nominal for v in dae.states), dae.experiment.stop_time]
-    sizes += [v.nominal for v in others]
-    slopes = ca.fabs(ca.jacobian(term.variable, moving))
-    line = ca.Function("line", [moving, dae.p], [term.variable, slopes @ ca.DM(sizes)])
-    first, (_, way) = float(line(0, p)[0]), map(float, line(sizes, p))
-    size = np.nanmax(np.abs([first, way, *places[[0, -1]]]))
-    return bool(np.ptp(places) <= _SUDDEN * size)
-
-
-def _changes_in_waves(dae: Dae, term: InnerTerm, p: Vector) -> list[_Change]:
-    """Return where a term changes in small parts of a wave in it, such as exp(-99 sin(x)**2)."""
-    if len(dae.states) in term.movers:  # of time: its places are known before the run
-        return []
-    for own in in_waves(dae, term):
-        reach = _reach(dae, own, p)
-        if not np.abs(reach).max() < _FARTHEST:
-            continue
-        values, found = _bent(dae, own, np.empty(0), p, reach)
-        changes = list[_Change]()
-        for edges in apart(found.parts):
-            at = np.clip(with_surroundings(edges, _INNER), *reach)
-            seen = values(at)
-            first, last = np.arcsin(np.interp(edges[[0, -1]], reach, [-1, 1])) / np.pi
-            is_step = abs(seen[-1] - seen[0]) >= _SEEN * np.ptp(seen)
-            share = min(0.5 - first, last + 0.5) if is_step else last - first
-            if share <= _NARROW:
-                change = _change(own, at, seen, found, False)
-                inside = (reach[0] < change.places) & (change.places < reach[1])
-                changes.append(replace(change, places=change.places[inside], is_wave=True))
-        if changes:
-            return changes
-    return []
-
-
-def _reach(dae: Dae, term: InnerTerm, p: Vector) -> Vector:
-    """Return the least and the greatest value of the variable of a term."""
-    moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
-    ends = SX.sym("low", moving.numel()), SX.sym("high", moving.numel())
-    bounds = bounds_within(term.variable, moving, ends)
-    if bounds is None:
-        return np.array([-np.inf, np.inf])
-    far = np.full(moving.numel(), _ANYWHERE)
-    reach = ca.Function("reach", [*ends, dae.p], [ca.vertcat(*bounds)])
-    return np.array(reach(-far, far, p)).ravel()
-
-
-def _bent(
-    dae: Dae, term: InnerTerm, knots: Vector, p: Vector, reach: Vector
-) -> tuple[Values, Changes]:
-    """Return a term as a function of its variable, and where it bends within a reach."""
-    length, symbol = SX.sym("length"), term.symbol
-    value = ca.Function("value", [symbol, dae.p], [term.value], {"cse": True})
-
-    def values(at: Vector) -> Vector:
-        return np.array(value(at[None], p)).ravel()
-
-    bounds = bounds_along(term.value, symbol, length)
-    if bounds is not None:
-        off = ca.Function("beyond", [symbol, length, dae.p], list(bounds), {"cse": True})
-
-        def beyond(begins: Vector, widths: Vector) -> Vector:
-            return np.fmin(*(np.array(o).ravel() for o in off(begins[None], widths[None], p)))
-
-        found = changing_parts(values, beyond, reach)
-    elif len(knots) > 1:
-        found = changes_between(values, knots)
-    else:
-        return values, unseen(reach)
-    return values, found if found.is_whole or len(found.pinched) else unseen(reach)
-
-
-def _change(term: InnerTerm, at: Vector, seen: Vector, found: Changes, is_step: bool) -> _Change:
-    """Return where a term changes in a part, from its values there."""
-    places = parted(at, seen, found.high - found.low)
-    some = places[np.unique(np.linspace(0, len(places) - 1, _IN_ONE).astype(int))]
-    return _Change(term, some, is_step, len(some) == len(places))
-
-
 @cached_per_thread(16)
 def localized_inverses(dae: Dae) -> SX:
     """Return the reciprocals and powers of several quantities that rest but for a part, (n, 1)."""
     p = np.array([np.nan if v.start is None else v.start for v in dae.parameters], dtype=float)
     every = [several for several in inner_terms_of_several(dae) if several.is_inverse]
-    return ca.vertcat(SX(0, 1), *(s.value for s in every if _changes_of_several(dae, s, p)))
+    known = ((s.value, _changes_of_several(dae, s, p) or []) for s in every)
+    return column(value for value, changes in known if short_ones(dae, changes, p))
 
 
 def _hides_places(several: SeveralInner) -> bool:
@@ -360,10 +212,10 @@ def _hides_places(several: SeveralInner) -> bool:
     return any(map(is_table, calls)) and not any(len(knots_of(term)) for term in several.alone)
 
 
-def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
+def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[Change] | None:
     """Return where a term of several quantities may move; None if unknown."""
-    each = (_changes(dae, term, p) for term in several.alone)
-    found = next(filter(None, each), list[_Change]())
+    each = (changes_of(dae, term, p) for term in several.alone)
+    found = next(filter(None, each), list[Change]())
     moving = ca.vertcat(dae.x, dae.t, dae.z, dae.u)
     if found and not any(ca.which_depends(found[0].term.variable, moving, 2, False)):
         return found
@@ -372,11 +224,11 @@ def _changes_of_several(dae: Dae, several: SeveralInner, p: Vector) -> list[_Cha
     beyond = _between_rests(dae, several, p) if several.each else []  # others: modes change it
     if found or beyond:
         return found + (beyond or [])
-    grows = (_growing(dae, term, p) for term in several.alone)
+    grows = (growing_of(dae, term, p) for term in several.alone)
     return next(filter(None, grows), beyond)
 
 
-def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] | None:
+def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[Change] | None:
     """Return where a term may move that rests if one quantity is far away; None if unknown.
 
     It rests beyond parts of the way of each quantity, wherever the others are: whoever gets to
@@ -393,13 +245,13 @@ def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] 
 
     def ranges(rows: Integers, begins: Vector, to: Vector) -> Vector:
         """Return those of the term while one quantity each, by its row, goes from begin on."""
-        least, columns = np.full((len(terms), len(to)), -_ANYWHERE), np.arange(len(to))
+        least, columns = np.full((len(terms), len(to)), -ANYWHERE), np.arange(len(to))
         most = -least
         least[rows, columns], most[rows, columns] = np.minimum(begins, to), np.maximum(begins, to)
         low, high = (np.array(end).ravel() for end in bounds(least, most, p))
         return np.asarray(high - low)
 
-    begins = np.tile(_REACH, len(terms))
+    begins = np.tile(REACH, len(terms))
     rows = np.arange(len(begins)) // 2
     size = float(ranges(rows[:1], begins[:1], -begins[:1])[0])
     if not np.isfinite(size):
@@ -409,11 +261,11 @@ def _between_rests(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change] 
         own = ranges(np.tile(rows, len(to)), np.tile(begins, len(to)), to.ravel())
         return np.asarray(own.reshape(to.shape) <= FLAT * size)
 
-    last = _last_flat(rests, begins)
+    last = last_flat(rests, begins)
     found = [
-        _Change(term, np.linspace(first, final, _ACROSS), is_step=False)
+        Change(term, np.linspace(first, final, _ACROSS), is_step=False)
         for term, first, final in zip(terms, last[::2], last[1::2], strict=True)
-        if -_FARTHEST < first < final < _FARTHEST
+        if -FARTHEST < first < final < FARTHEST
     ]
     return found if found or _is_slope(dae, several, size, p) else None
 
@@ -423,12 +275,12 @@ def _is_slope(dae: Dae, several: SeveralInner, size: float, p: Vector) -> bool:
     terms = several.each
     symbols = ca.vertcat(*(term.symbol for term in terms))
     value = ca.Function("value", [symbols, dae.p], [terms[0].value])
-    corners = _FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
+    corners = FARTHEST * np.hstack([np.eye(len(terms)), -np.eye(len(terms))])
     seen = np.array(value(corners, p)).reshape(2, -1)
-    return bool((np.abs(np.diff(seen, axis=0)) >= _SEEN * size).any())
+    return bool((np.abs(np.diff(seen, axis=0)) >= SEEN * size).any())
 
 
-def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
+def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[Change]:
     """Return where an exp of a quadratic with a peak may move; none for other terms.
 
     That is within an ellipsoid about the peak, outside of which it is below FLAT of its greatest
@@ -455,23 +307,7 @@ def _around_peak(dae: Dae, several: SeveralInner, p: Vector) -> list[_Change]:
         for mover, share in zip(places, ca.vertsplit(shares), strict=True)
     )
     lattice = np.linspace(-1, 1, _ACROSS)
-    return [_Change(term, lattice, is_step=False) for term in terms]
-
-
-def _last_flat(rests: Callable[[Vector], Truths], begins: Vector) -> Vector:
-    """Return the places up to which a term rests from begins on, towards 0 and beyond.
-
-    Args:
-        rests: Returns whether it rests from each of the begins to places, (m, n).
-        begins: (n,).
-    """
-    last, moves = begins, -begins
-    for _ in range(_ZOOMS):
-        edges = np.linspace(last, moves, _SECTIONS + 1)
-        inner = ~rests(edges[1:-1])
-        section = np.argmax(np.vstack((inner, np.full(len(begins), True))), axis=0)
-        last, moves = (edges[section + i, np.arange(len(begins))] for i in (0, 1))
-    return last
+    return [Change(term, lattice, is_step=False) for term in terms]
 
 
 def _depends(dae: Dae, expression: SX) -> list[str]:

@@ -6,6 +6,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
+from casadi import SX
 
 import cosim
 from cosim.codegen import functions as directional_jacobian
@@ -42,7 +43,7 @@ def test_rosenbrock_of_a_large_model_has_no_formulas_of_a_jacobian():
     weights = ca.DM(np.random.default_rng(0).normal(size=(n, n)))
     dae = cosim.from_casadi({"x": x, "ode": -ca.sin(weights @ ca.sin(x)) * x}, {"x": 0.1})
     laws = fmu_laws(dae, None, derivatives=True, adjoint=False)
-    functions = model_functions(laws, None, derivatives=True, adjoint=False)
+    functions = model_functions(laws, None, SX(0, 1), derivatives=True, adjoint=False)
     code = generated_code(laws, "m", functions, "rosenbrock", has_events=False)
     jacobian, laws = (
         re.search(rf"/\* {name}:.*?\n}}\n", code, re.DOTALL)[0] for name in ("jacF", "model_ode")
@@ -98,4 +99,4 @@ def test_laws_that_are_kept_longer_than_their_derivatives_still_have_them():
     laws = fmu_laws(first.freeze(), None, derivatives=True, adjoint=True)
     for model in others:
         fmu_laws(model.freeze(), None, derivatives=True, adjoint=True)
-    assert model_functions(laws, None, derivatives=True, adjoint=True)
+    assert model_functions(laws, None, SX(0, 1), derivatives=True, adjoint=True)

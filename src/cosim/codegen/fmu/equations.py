@@ -88,13 +88,14 @@ def fmu_laws(dae: Dae, system: Hybrid | None, *, derivatives: bool, adjoint: boo
 
 
 def model_functions(
-    laws: Laws, system: Hybrid | None, *, derivatives: bool, adjoint: bool
+    laws: Laws, system: Hybrid | None, warnings: SX, *, derivatives: bool, adjoint: bool
 ) -> tuple[ca.Function, ...]:
     """Return the functions that fmu/runtime/equations.h declares, but for the solver's step.
 
     Args:
         laws: Those of `fmu_laws`, with the same derivatives.
         system: The events of the model.
+        warnings: Expressions of parameters, which tell where they are not positive, (n, 1).
         derivatives, adjoint: Whether to include directional and adjoint derivatives.
     """
     dae, p = laws.dae, argument_like(laws.dae.p)
@@ -107,6 +108,7 @@ def model_functions(
         *_rank_functions(laws),
         *(sensitivity_functions(laws, adjoint=adjoint) if derivatives else []),
         *(law_functions(system) if system else []),
+        *([ca.Function("model_warnings", [dae.p], [warnings])] if warnings.numel() else []),
         *_limit_functions(laws, bounded_limits(dae, system)),
     )
 

@@ -12,9 +12,7 @@ from cosim.codegen.casadi_library import work_sizes
 from cosim.codegen.fmu.equations import generated_code
 from cosim.codegen.fmu.solver import most_trials, of_fixed_steps
 from cosim.codegen.hybrid_laws import law_sizes, law_tables
-from cosim.codegen.landmarks import landmarks
 from cosim.codegen.pieces import in_pieces
-from cosim.codegen.terms import pulse_parameters
 from cosim.errors import UsageError
 from cosim.fmi.export.events import LEAST_STEPS, fmu_pulses
 from cosim.fmi.export.plan import Plan
@@ -41,6 +39,7 @@ def model_header(plan: Plan, guid: str, equations: str) -> str:
 #define NC {plan.laws.c.numel()}
 #define NY {len(dae.output_variables)}
 #define N_LIMITS {len(dae.limits)}
+#define N_WARNINGS {len(plan.warnings)}
 #define BOUNDED_LIMITS {len(plan.bounds.relations)}
 #define LIMITS_OF_TIME {int(plan.bounds.of_time)}
 #define LAWS_OF_TIME {int(ca.depends_on(ca.vertcat(dae.ode, dae.alg), dae.t))}
@@ -75,6 +74,7 @@ static const VariableInfo variables[] = {{
 
 {_texts("limits", limits)}
 {_texts("violations", [violated(meaning) for meaning in limits])}
+{_texts("warnings", plan.warnings) if plan.warnings else ""}
 static const int bounded_limits[] = {{{", ".join(map(str, bounded))}}};
 static const int moving_limits[] = {{{", ".join(map(str, moving))}}};
 {_event_tables(plan)}"""
@@ -95,11 +95,7 @@ def _event_tables(plan: Plan) -> str:
     """Return the tables of relations, events and pulses for tables.h; empty without events."""
     if (system := plan.system) is None:
         return ""
-    times, known = fmu_pulses(system.dae), landmarks(system.dae)
-    pulses = [*map(repr, times.tolist()), "0.0"]
-    sampled = {*pulse_parameters(system.dae)} if len(times) else set[str]()
-    moving = sampled - {*known.followed} | {*known.given}
-    places = [i for i, v in enumerate(system.dae.parameters) if v.name in moving]
+    pulses = [*map(repr, fmu_pulses(system.dae).tolist()), "0.0"]
     inputs = [variable.name for variable in plan.variables if variable.role is Role.INPUT]
     movers = map(system.movers, range(len(system.relations)))
     texts = {
@@ -112,7 +108,6 @@ def _event_tables(plan: Plan) -> str:
 {law_tables(system, plan.functions)}
 {"".join(_texts(name, own) for name, own in texts.items())}
 static const double pulses[] = {{{", ".join(pulses)}}};
-static const int pulse_parameters[] = {{{", ".join(map(str, [*places, -1]))}}};
 """
 
 

@@ -1,5 +1,6 @@
 """Events of an FMU: frozen equations, and pulses."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from warnings import warn
 
@@ -10,8 +11,8 @@ from casadi import SX
 from casadi_models.dae import Dae, Start, Variable
 from casadi_models.dae.hybrid import Hybrid, hybrid
 from cosim.arrays import Vector
-from cosim.codegen.landmarks import landmarks
-from cosim.codegen.terms import pulse_times
+from cosim.codegen.landmarks import Landmarks, landmarks
+from cosim.codegen.terms import pulse_parameters, pulse_times
 from cosim.errors import UsageError
 from cosim.memo import cached_per_thread
 
@@ -43,8 +44,8 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     Raises:
         UsageError: The model uses a reserved variable name.
     """
-    system, passed = _frozen(dae)
-    for name in passed:
+    system, places = _frozen(dae)
+    for name in places.passed:
         warn(
             f"{dae.full_name}: terms of {name} change in places that the FMU does not name; an "
             "importer's solver, or fixed steps, may step over some: give it a largest step",
@@ -53,15 +54,32 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     return system
 
 
+def fmu_warnings(dae: Dae) -> Mapping[str, SX]:
+    """Return what to warn of where an expression of parameters is not positive."""
+    system, known = _frozen(dae)
+    found = dict(known.gentle)
+    if system is None:
+        return found
+    known = landmarks(system.dae)
+    sampled = {*pulse_parameters(system.dae)} if len(fmu_pulses(system.dae)) else set[str]()
+    moving = sampled - {*known.followed} | {*known.given}
+    for variable, p in zip(dae.parameters, ca.vertsplit(dae.p), strict=True):
+        if variable.name in moving:
+            found[f"{variable.name} moves a short change of the equations"] = SX(
+                p == (variable.start or 0.0)
+            )
+    return found
+
+
 @cached_per_thread(16)
-def _frozen(dae: Dae) -> tuple[Hybrid | None, tuple[str, ...]]:
-    """Return what `fmu_events` does, and the names of terms that change in other places."""
+def _frozen(dae: Dae) -> tuple[Hybrid | None, Landmarks]:
+    """Return what `fmu_events` does, and where terms change."""
     system = hybrid(dae)
     system = system.blended() if system else Hybrid(dae, (), (), ())
     places = landmarks(system.with_conditions())
     system = system.watching_more(places.arguments, "place")
     if not (system.relations or system.events or len(fmu_pulses(system.dae))):
-        return None, places.passed
+        return None, places
     smooth, modes = system.dae, ca.vertsplit(system.modes)
     rows, more = list[SX](), list[Variable]()
     for i, relation in enumerate(system.relations):
@@ -77,4 +95,4 @@ def _frozen(dae: Dae) -> tuple[Hybrid | None, tuple[str, ...]]:
     outputs = ca.densify(ca.vertcat(smooth.outputs, *rows))
     variables = (*smooth.output_variables, *more)
     dae = replace(smooth, outputs=outputs, output_variables=variables)
-    return replace(system, dae=dae), places.passed
+    return replace(system, dae=dae), places

@@ -9,6 +9,7 @@ from warnings import warn
 import casadi as ca
 
 from casadi_models.dae import Dae
+from casadi_models.dae.expressions import column
 from casadi_models.dae.hybrid import Hybrid
 from casadi_models.dae.time_bounds import Enclosures
 from cosim.codegen.c_sources import runtime_sources, solver_sources
@@ -29,7 +30,7 @@ from cosim.fmi.export.dependencies import (
     without_modes,
 )
 from cosim.fmi.export.dialect import DIALECTS, Dialect
-from cosim.fmi.export.events import fmu_events
+from cosim.fmi.export.events import fmu_events, fmu_warnings
 from cosim.fmi.export.options import FmuOptions, NameStyle
 from cosim.fmi.export.variables import FmuVariable, fmu_variables, structured, with_margins
 from cosim.model.reduction import checked_outputs
@@ -48,6 +49,7 @@ class Plan:
         dae: The model as exported: with the selected outputs, margins as outputs, modes as inputs.
         laws: Its equations, with constants for its parameters.
         system: Its relations, events and pulses; None if it has none.
+        warnings: What may follow from values of parameters.
         bounds: Bounds of the margins of some limits.
         indicators: Number of event indicators, which are its last outputs.
         variables: All variables; the position of each is its value reference.
@@ -69,6 +71,7 @@ class Plan:
     dae: Dae
     laws: Laws
     system: Hybrid | None
+    warnings: tuple[str, ...]
     bounds: Enclosures
     indicators: int
     variables: tuple[FmuVariable, ...]
@@ -194,7 +197,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
     dae = with_margins(dae, valid=options.valid)
     embedded = embedded_sources(dae)
     tunable = tunable_parameters(dae, tunable)
-    system = fmu_events(dae)
+    system, warnings = fmu_events(dae), fmu_warnings(dae)
     if system is not None:
         dae = system.dae
     wanted = {"derivatives": options.derivatives, "adjoint": options.fmi == 3}
@@ -217,6 +220,7 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         dae=dae,
         laws=laws,
         system=system,
+        warnings=tuple(warnings),
         bounds=bounds,
         indicators=len(dae.limits) + watched,
         variables=variables,
@@ -227,6 +231,6 @@ def planned(dae: Dae, options: FmuOptions) -> Plan:
         detects_singularity=detects_singularity,
         watches_steps=detects_singularity or moved or bool(bounds.relations),
         updates_within_steps=dop853 or fixed or bool(system or dae.limits or dae.inputs),
-        functions=model_functions(laws, system, **wanted),
+        functions=model_functions(laws, system, column(warnings.values()), **wanted),
         embedded=embedded,
     )

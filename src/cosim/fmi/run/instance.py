@@ -34,7 +34,10 @@ _MESSAGES = 3  # of an FMU's log, in an error
 _EVENT = re.compile(r": at (\S+) s: (.+)$")  # of FMUs that were exported here
 _SLIDES = re.compile(r": from \S+ s on, '(.+)' stays 0 by (.+)$")
 _LEAPS = re.compile(r": at (\S+) s, (.+) jumps over a short change of the equations \('(.+)'\)")
-_PASSED = re.compile(r": (\S+ moves a short change.+|'.+' switches at \S+ s and returns within.+)$")
+_PASSED = re.compile(
+    r": (\S+ moves a short change.+|a change of .+ is short with.+"
+    r"|'.+' switches at \S+ s and returns within.+)$"
+)
 _LEFT = re.compile(r": invalid from (\S+) s: (.+)$")  # of these, too
 _METHODS_OF_FMI_2 = {  # of fmpy, by their names in FMI 3
     "getContinuousStateDerivatives": "getDerivatives",

@@ -6,7 +6,9 @@ from functools import partial
 from time import perf_counter
 from typing import Unpack
 
+import casadi as ca
 import numpy as np
+from casadi import SX
 from numpy.typing import ArrayLike
 
 from casadi_models.dae import Dae
@@ -105,7 +107,8 @@ def simulate_many(
         workers = threads or processors()
         found, growing, stuck = in_lanes(request, values, solver.tolerance, workers, lanes)
         stuck = stuck if solver != request.solver else stuck[:0]
-        for own, runs in (replace(request, solver=solver), growing), (request, stuck):
+        alone = np.union1d(growing, _with_short_terms(request.dae, values.p))
+        for own, runs in (replace(request, solver=solver), alone), (request, stuck):
             if len(runs) and not found.interrupted:
                 found = found.with_runs(runs, _one_by_one(own, values.select(runs), solver))
     else:
@@ -190,6 +193,13 @@ def lane_solver(request: RunRequest) -> Dop853 | None:
     if pulse_within_a_step(dae, request.numbers.p, begin, end, longest):
         return None
     return solver
+
+
+def _with_short_terms(dae: Dae, p: Vector) -> Integers:
+    """Return the positions of the runs whose parameters, (runs, np), make a term short."""
+    gentle = landmarks(dae).gentle
+    sizes = ca.Function("sizes", [dae.p], [ca.vertcat(SX(1), *gentle.values())])
+    return np.flatnonzero((np.array(sizes(p.T)) <= 0).any(axis=0))
 
 
 def usual_solver(request: RunRequest) -> Solver:
