@@ -78,7 +78,7 @@ def failure(system: Any, wiring: Wiring, rows: Rows | None = None) -> str:
         reason = f"events of the parts at {time} cause each other without end"
         return f"{reason}{as_models(wiring)}"
     if how == Ending.STEP_VANISHED:
-        reason = f": the input {entry} does not settle" if has_input else ""
+        reason = f": the input {entry} does not settle{shorter or larger}" if has_input else ""
         if has_input and not wiring.parts[part].rolls_back:
             reason = (
                 f": part '{part}', which cannot restore a state, returns an output {output} that "
