@@ -15,6 +15,7 @@ from cosim.integrate.modes import Instant
 from cosim.text import Ending
 
 _ROUNDING = 1e-9  # of gaps that are equal
+CERTAIN = 4  # times the error of an integral over rows
 
 
 class EventRecord(NamedTuple):
@@ -129,6 +130,22 @@ class Path(NamedTuple):
         others = self.others[:, rows] + s * (self.others[:, rows + 1] - self.others[:, rows])
         return Path(times, states, first + s * (last - first), others)
 
+    def strays(self, least: Vector) -> bool:
+        """Tell whether somewhere the states do not change as the integrals of their rates tell.
+
+        Args:
+            least: Differences of the states that matter, (nx,).
+        """
+        n = (len(self.time) - 1) // 2 * 2 + 1
+        t = self.time[:n]
+        rates = self.rates[:, :n]
+        with np.errstate(divide="ignore", invalid="ignore"):  # at events, two rows have one time
+            fine = simpson(t, rates)
+            lines = (np.diff(t) * (rates[:, 1:] + rates[:, :-1]) / 2).reshape(len(rates), n // 2, 2)
+            off = np.abs(np.diff(self.states[:, :n:2]) - fine)
+            seen = np.maximum(least[:, None], CERTAIN * np.abs(fine - lines.sum(axis=2)))
+        return bool((off > seen).any())
+
     def with_turns(self, row: int) -> "Path":
         """Return the path with the times at which a state turns; unchanged for one of time."""
         if row >= len(self.states):
@@ -157,6 +174,14 @@ class Path(NamedTuple):
         known = np.isfinite(ends[0]) & np.isfinite(ends[1])
         begin, end = (np.where(known, own, change) for own in ends)
         return change, begin, end
+
+
+def simpson(t: Vector, rows: Vector) -> Vector:
+    """Return the integrals of rows between every second time; intervals need not be equal."""
+    a, b = np.diff(t)[::2], np.diff(t)[1::2]
+    weights = 2 - b / a, (a + b) ** 2 / (a * b), 2 - a / b
+    parts = (w * rows[:, i : i + 2 * len(a) : 2] for i, w in enumerate(weights))
+    return np.asarray(sum(parts) * (a + b) / 6)
 
 
 def rates_at(motion: Motion, rows: Vector | slice) -> Vector:

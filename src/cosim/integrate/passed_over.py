@@ -19,7 +19,7 @@ from cosim.codegen.changes import parted
 from cosim.integrate.call import INTERRUPTED
 from cosim.integrate.excursions import several_terms_of
 from cosim.integrate.modes import hybrid
-from cosim.integrate.motion import Motion, Path, rates_at
+from cosim.integrate.motion import CERTAIN, Motion, Path, rates_at, simpson
 from cosim.integrate.places import Place, has_terms, places_on, rows_between, step_count
 from cosim.memo import cached_per_thread
 from cosim.model.values import own_sizes
@@ -27,7 +27,6 @@ from cosim.model.values import own_sizes
 Attempt = Callable[[Vector, Vector], Motion]  # output times, further ends of steps
 
 _EFFECT = 100.0  # least defect of a state that matters, in tolerances
-_CERTAIN = 4  # times the error of that integral
 _MOST_ROUNDS, _MOST_PLACES = 20, 10_000
 _LOOKS = 2  # for places: the second has rows in those of the first, and finds them exactly
 _MOST_ENDS = 1_000  # of steps in a place
@@ -103,7 +102,9 @@ class _Search:
 
     def _new_places(self) -> list[Place]:
         """Return where terms bend outside the known places; those of no width are noted."""
-        found = _apart(places_on(self.dae, self.motion, step_count(self.plain)), self.places)
+        steps = step_count(self.plain)
+        every = places_on(self.dae, self.motion, steps, self._least_effects())
+        found = _apart(every, self.places)
         self.narrow = [place for place in found if place.is_narrow] or self.narrow
         return [place for place in found if not place.is_narrow]
 
@@ -133,7 +134,7 @@ class _Search:
             motion = self.attempt(np.union1d(self.grid, rows), self.ends)
         elif len(self.ends):
             motion = self.attempt(self.grid, self.ends)
-        if not self.places or self.motion.reason or motion.reason == INTERRUPTED:
+        if self.motion is self.plain or self.motion.reason or motion.reason == INTERRUPTED:
             return motion
         # its rows may let the solver see what it otherwise passes over
         agree = _agree(self.motion, motion, self.grid, self._least_effects())
@@ -311,9 +312,10 @@ def _is_passed(motion: Motion, place: Place, least: Vector) -> bool:
             continue
         t, x = motion.time[at], motion.states[:, at]
         rates = rates_at(motion, at)
-        fine, coarse = _simpson(t, rates)[:, 1::2], _simpson(t[::2], rates[:, ::2])
+        fine, coarse = (simpson(t[::k], rates[:, ::k]).cumsum(axis=1) for k in (1, 2))
+        fine = fine[:, 1::2]
         off = np.abs(x[:, 4::4] - x[:, :1] - fine)
-        if (off > np.maximum(least[:, None], _CERTAIN * np.abs(fine - coarse))).any():
+        if (off > np.maximum(least[:, None], CERTAIN * np.abs(fine - coarse))).any():
             return True
     return False
 
@@ -325,14 +327,6 @@ def _is_settled(before: Motion, after: Motion, place: Place, least: Vector) -> b
         return False
     changes = np.abs(before.states[:, last[0]] - after.states[:, last[1]])
     return before.time[last[0]] == after.time[last[1]] and bool((changes <= least).all())
-
-
-def _simpson(t: Vector, rows: Vector) -> Vector:
-    """Return the integrals of rows up to every second time; intervals need not be equal."""
-    a, b = np.diff(t)[::2], np.diff(t)[1::2]
-    weights = 2 - b / a, (a + b) ** 2 / (a * b), 2 - a / b
-    parts = (w * rows[:, i : i + 2 * len(a) : 2] for i, w in enumerate(weights))
-    return np.asarray((sum(parts) * (a + b) / 6).cumsum(axis=1))
 
 
 def _divided(motion: Motion, place: Place, ends: Vector) -> Vector:
