@@ -414,3 +414,19 @@ def test_derivatives_at_the_time_of_an_event_that_moves_are_called_one_sided(
     at_event = found["y", "k"][np.searchsorted(found.run.time, 1.0 - 1e-9)]
     assert at_event == pytest.approx(right, abs=1e-9)
     assert ("one-sided, those after an event, at 1 s (reset)" in found.check.note) is is_moved
+
+
+@pytest.mark.parametrize("solver", ["dop853", "cvodes", "idas"])
+@pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-4])
+def test_steps_of_differences_are_small_beside_a_narrow_bump(solver, width):
+    """v' = k exp(-((x - place) / width)^2) / width - v with x = t; v is in closed form."""
+    x, v, k, place = (ca.SX.sym(name) for name in ("x", "v", "k", "place"))
+    law = k * ca.exp(-(((x - place) / width) ** 2)) / width - v
+    equations = {"x": ca.vertcat(x, v), "p": ca.vertcat(k, place), "ode": ca.vertcat(1, law)}
+    dae = cosim.from_casadi(equations, start_values={"k": 2, "place": 1}, name="bump")
+    found = sensitivity(dae, outputs=["v"], solver=solver, stop_time=2, output_interval=0.1)
+    exact = np.sqrt(np.pi) * np.exp(width**2 / 4 - 1)
+    assert found["v", "k"][-1] == pytest.approx(exact, rel=1e-6)  # measured 2e-7
+    most = np.abs(found["v", "place"]).max()  # where the bump is, before: an error
+    assert found["v", "place"][-1] == pytest.approx(2 * exact, abs=1e-6 * most)
+    assert found.check.scaled < 1e-5

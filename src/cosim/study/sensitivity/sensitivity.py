@@ -92,7 +92,7 @@ def _start_jacobians(dae: Dae) -> ca.Function:
     return ca.Function("start_jacobians", [t, x, u, p], blocks)
 
 
-STEP = 1e-4  # step of the finite differences, relative to the size of the target
+STEPS = 1e-4 / 16.0 ** np.arange(4)  # of finite differences, relative to the size of the target
 # Derivative = sum of weight * run(value + shift * step) / step; both formulas are of fourth order
 CENTRAL = {1: 2 / 3, -1: -2 / 3, 2: -1 / 12, -2: 1 / 12}
 ONE_SIDED = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
@@ -100,18 +100,21 @@ ONE_SIDED = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
 Runs = Callable[[Sequence[tuple[str, float]]], Vector]
 
 
-def differences(runs: Runs, targets: Sequence[SensitivityTarget], at: Sequence[float]) -> Vector:
+def differences(
+    runs: Runs, targets: Sequence[SensitivityTarget], at: Sequence[float], share: float
+) -> Vector:
     """Return finite differences of fourth order, (n, ny, targets).
 
     Args:
         runs: Function that runs the model once for each changed value: outputs (changes, n, ny).
         targets: Parameters, initial values and inputs by which the outputs are differentiated.
         at: Their values in this run, SI.
+        share: Of the size of a target: the step.
     """
     changes: list[tuple[str, float]] = []
     rules = []
     for target, value in zip(targets, at, strict=True):
-        step, weights = STEP * target.size, CENTRAL
+        step, weights = share * target.size, CENTRAL
         up, down = target.variable.maximum - value, value - target.variable.minimum
         if min(up, down) < 2 * step:  # the steps stay within the bounds, and their rounding
             step, weights = min(step, max(up, down) / 5), ONE_SIDED
@@ -399,11 +402,7 @@ class _Task:
             SolverError: They disagree, or can be compared at less than half of the times.
         """
         plain, model = result.run, self.request.dae.full_name
-        names = [column.name for column in result.targets]
-        moved = differences(self.changed, targets, at)[: len(plain)]
-        second = np.zeros(result.values.shape)
-        second[: len(moved), :, [names.index(target.variable.name) for target in targets]] = moved
-        compared = self.between_events(plain.time) & (np.arange(len(plain)) < len(moved))
+        second, compared = self._differences(result, targets, at, bound)
         if 2 * compared.sum() < len(compared):
             raise SolverError(
                 f"{model}: finite differences check the derivatives at {compared.sum()} of "
@@ -425,6 +424,38 @@ class _Task:
             )
         return agreement
 
+    def _differences(
+        self,
+        result: Sensitivity,
+        targets: Sequence[SensitivityTarget],
+        at: Sequence[float],
+        bound: float,
+    ) -> tuple[Vector, Truths]:
+        """Return finite differences, and at which times they tell; see `agreement`.
+
+        A step is right if it is small beside what a value changes, such as the place of a narrow
+        bump, and large beside rounding: it gets finer for the targets that do not agree.
+        """
+        names = [column.name for column in result.targets]
+        second = np.zeros(result.values.shape)
+        best = np.full(len(names), np.inf)
+        numbers = dict(zip(targets, at, strict=True))
+        n = len(result.run)
+        for share in STEPS:
+            moved = differences(self.changed, [*numbers], [*numbers.values()], share)[:n]
+            n = len(moved)
+            tried = second.copy()
+            tried[:n, :, [names.index(target.variable.name) for target in numbers]] = moved
+            compared = self.between_events(result.run.time) & (np.arange(len(result.run)) < n)
+            apart = _apart(result, tried, compared).max(axis=(0, 1))
+            second[:, :, apart <= best] = tried[:, :, apart <= best]
+            best = np.fmin(apart, best)
+            near = [names[i] for i in np.flatnonzero(best <= bound)]
+            numbers = {t: value for t, value in numbers.items() if t.variable.name not in near}
+            if not numbers:
+                break
+        return second, compared
+
     def _runs(self, request: RunRequest, given: Mapping[str, Any]) -> Ensemble:
         found = simulate_many(request, given, on_invalid=OnInvalid.IGNORE)
         if not found.complete.all():
@@ -437,16 +468,23 @@ class _Task:
         return found
 
 
-def _agreement(
-    result: Sensitivity, second: Vector, method: str, bound: float, rows: Truths
-) -> Agreement:
-    """Return the largest scaled difference between two methods at some of the times."""
+def _apart(result: Sensitivity, second: Vector, rows: Truths) -> Vector:
+    """Return the scaled differences between two methods, 0 at other times; see `Agreement`."""
     sizes = np.array([target.nominal for target in result.targets])
     nominal = np.array([column.nominal for column in result.run.columns])
     largest = np.abs(second).max(axis=0) * sizes + nominal[:, None]
     apart = np.abs(result.values - second) * sizes / largest
     apart = np.where(np.isnan(apart), np.inf, apart)
     apart[~rows] = 0.0
+    return np.asarray(apart)
+
+
+def _agreement(
+    result: Sensitivity, second: Vector, method: str, bound: float, rows: Truths
+) -> Agreement:
+    """Return the largest scaled difference between two methods at some of the times."""
+    apart = _apart(result, second, rows)
+    sizes = np.array([target.nominal for target in result.targets])
     weights = np.abs(result.values * sizes).max(axis=2)
     row, i, j = (int(k) for k in np.unravel_index(int(apart.argmax()), apart.shape))
     return Agreement(
