@@ -44,9 +44,11 @@ static unsigned settable(const Instance *self, const VariableInfo *variable) {
 
 /* What is stale once a variable is set: start values may follow from any, up to the end of
    initialization. */
-static unsigned dependents(const Instance *self) {
+static unsigned dependents(const Instance *self, bool changes) {
     if (self->state.mode & (INSTANTIATED | INITIALIZATION_MODE)) return EVERYTHING;
-    return self->state.mode == STEP_MODE ? AFTER_START | SIDES : AFTER_START;
+    const bool steps = self->state.mode == STEP_MODE;
+    const bool sides = steps || (self->state.interface == INTERFACE_ME && changes);
+    return sides ? AFTER_START | SIDES : AFTER_START;
 }
 
 static const char *role_name(Role role) {
@@ -153,8 +155,9 @@ static Status set_values(Instance *self, const Reference references[], size_t co
         const VariableInfo *variable = &variables[references[i]];
         if (variable->start_kind == CALCULATED && self->state.mode == INSTANTIATED)
             self->state.guesses[references[i] - FIRST_STATE] = values[i];
+        const bool changes = self->state.values[references[i]] != values[i];
         self->state.values[references[i]] = values[i];
-        self->state.stale |= dependents(self);
+        self->state.stale |= dependents(self, changes);
         if (variable->role != STATE) continue;
         restart_solver(self);
         keep_instant(self);

@@ -20,6 +20,7 @@ static const ModelLaws model_laws = MODEL_LAWS;
 Laws laws_of(Instance *self) {
     Laws laws = laws_of_model(&self->laws);
     laws.blind = self->state.interface == INTERFACE_ME;
+    laws.set = laws.blind && (self->state.stale & SIDES);
     return laws;
 }
 
@@ -172,6 +173,7 @@ Status get_insides(Instance *self, double inside[]) {
         note_least(&laws, s, &at, &spread);
         s->rounded += values[TIME] > s->looked;
         s->looked = fmax(values[TIME], s->looked);
+        self->state.stale &= ~(uint32_t)SIDES;
     }
     measure(&laws, s, values + FIRST_MODE, &seen, all, rates);
     for (int i = 0, k = 0; i < MODES; i++) {

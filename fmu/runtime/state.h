@@ -48,7 +48,7 @@ enum {
     DERIVATIVES = 1 << 2,
     OUTPUTS = 1 << 3,
     JACOBIAN = 1 << 4,
-    SIDES = 1 << 5, /* of relations, where inputs or parameters were set between steps */
+    SIDES = 1 << 5, /* of relations, where values were set between steps, or since the last look */
     AFTER_START = ALGEBRAICS | DERIVATIVES | OUTPUTS | JACOBIAN,
     EVERYTHING = START_VALUES | AFTER_START
 };

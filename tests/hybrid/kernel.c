@@ -81,8 +81,8 @@ static bool timed(void *owner, const Point *at, double t, double arguments[], do
 
 static Laws laws_of(Body *body) {
     static double room[MODES * MODES];
-    return (Laws){body, relations, rules, assigned,     adds,   barriers, bounded, enclosed,
-                  room, false,     see,   decide_rules, spread, timed,    NULL,    NULL};
+    return (Laws){body,  relations, rules, assigned,     adds,   barriers, bounded, enclosed, room,
+                  false, false,     see,   decide_rules, spread, timed,    NULL,    NULL};
 }
 
 static const bool nothing[MODES + 1];

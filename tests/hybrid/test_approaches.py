@@ -55,6 +55,26 @@ def test_what_approaches_at_random_rates_crosses_its_boundary_in_no_run(engine):
         assert_only_approached(engine, (k,), (level,), ("above",))
 
 
+EXCHANGED = [e for e in ENGINES if " me " in e]
+
+
+@pytest.mark.parametrize("engine", EXCHANGED)
+def test_what_approaches_does_not_cross_by_the_errors_of_an_importer(engine):
+    """9 of 10 runs with fmpy were at their levels too early, or had events without end."""
+    assert_only_approached(engine, (1.4, 7.3), (0.3, 2.9), ("above", "reached"))
+
+
+@pytest.mark.parametrize("engine", ["dop853", *EXCHANGED])
+def test_what_an_input_stops_on_its_boundary_is_there(engine):
+    """The input is set where the argument reaches its boundary: the value counts."""
+    model = cosim.Model("stopped", stop_time=2.0, output_interval=0.25)
+    x, y = model.state("x", "1", 0.0, "argument"), model.state("y", "s", 0.0, "how long")
+    model.derivative(x, model.input("u", "1/s", 1.0, "rate"))
+    model.derivative(y, ca.if_else(x >= 1, 1, 0))
+    run = run_on(engine, model.freeze(), inputs={"u": "where(t < 1, 1, 0)"})
+    assert run.final["y"] == pytest.approx(1, abs=1e-9)
+
+
 NATIVE = [e for e in ENGINES if not e.startswith("fmu") and e not in ("rk4", "ode8")]
 
 

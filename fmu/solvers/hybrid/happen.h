@@ -119,7 +119,8 @@ static inline void note_approaches(const Laws *laws, Switching *s, const Point *
                                    const bool zero[], Seen *seen) {
     look_ahead(laws, s, at, zero, seen);
     for (int i = 0; i < MODES; i++) {
-        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES;
+        const bool unknown = laws->blind && laws->relations[i].moved;
+        const bool other = laws->relations[i].of_time || s->state[i] == SLIDES || unknown;
         if (zero[i] && !other && rests_on(s, seen, i)) s->state[i] = HELD;
     }
 }
@@ -183,7 +184,7 @@ static inline double find_switched(const Laws *laws, Switching *s, const Point *
         }
     }
     if (laws->blind) s->rounded += fmin(missed / scale, SAME_TIME) / DBL_EPSILON;
-    if (crossing >= 0 && !laws->blind) note_approaches(laws, s, at, zero, &seen);
+    if (crossing >= 0 || (laws->blind && !laws->set)) note_approaches(laws, s, at, zero, &seen);
     for (int i = 0; i < MODES; i++) reached[i] = zero[i] && !rests[i];
     return way;
 }

@@ -93,6 +93,7 @@ typedef struct {
     const int *enclosed; /* other relations whose arguments have bounds, ENCLOSED of them */
     double *room;        /* MODES * MODES numbers for what slides: more than a stack may hold */
     bool blind;          /* rates of inputs are unknown, and a step ends a little beyond an event */
+    bool set;            /* values have been set since one that is blind has looked */
     bool (*see)(void *owner, const Point *at, Seen *found);
     bool (*decide)(void *owner, const Point *at, Decision *found);
     bool (*spread)(void *owner, const Point *at, Spread *found);

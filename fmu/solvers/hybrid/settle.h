@@ -171,7 +171,8 @@ static inline double required(const Laws *laws, const Switching *s, const Point 
         if (relation->floor) return along[k] > 0 ? boundary : boundary - 1;
         return along[k] > 0 ? 1 : -1;
     }
-    if (s->state[i] == HELD && !laws->blind) return mode; /* it has rested since its event */
+    const bool unknown = laws->blind && relation->moved;
+    if (s->state[i] == HELD && !unknown) return mode; /* it has rested since its event */
     if (relation->floor) return boundary;
     return relation->at_zero == KEEPS ? mode : relation->at_zero;
 }
