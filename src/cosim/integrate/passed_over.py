@@ -102,11 +102,14 @@ class _Search:
 
     def _new_places(self) -> list[Place]:
         """Return where terms bend outside the known places; those of no width are noted."""
-        steps = step_count(self.plain)
-        every = places_on(self.dae, self.motion, steps, self._least_effects())
-        found = _apart(every, self.places)
+        found = self._bends_within(step_count(self.plain))
+        if not found and Path.of(self.motion).strays(self._least_effects()):
+            found = self._bends_within(1)  # some step is far longer than the average one
         self.narrow = [place for place in found if place.is_narrow] or self.narrow
         return [place for place in found if not place.is_narrow]
+
+    def _bends_within(self, steps: int) -> list[Place]:
+        return _apart(places_on(self.dae, self.motion, steps), self.places)
 
     def _divide_steps(self) -> bool:
         """Let steps end within the places that were passed over; return whether any does anew."""

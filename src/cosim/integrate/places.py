@@ -90,20 +90,10 @@ def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
 
 
-def places_on(dae: Dae, motion: Motion, steps: int, least: Vector | None = None) -> list[Place]:
-    """Return where terms bend within a part of an average step of a motion.
-
-    Args:
-        dae: The equations.
-        motion: The motion.
-        steps: Their number.
-        least: Differences of the states that matter, (nx,), if steps may be far longer than the
-            average one: all count as one where the motion does not obey the equations.
-    """
+def places_on(dae: Dae, motion: Motion, steps: int) -> list[Place]:
+    """Return where terms bend within a part of an average step of a motion of so many steps."""
     names = _moving(dae)
     path, p, found = Path.of(motion), motion.p, list[Place]()
-    if least is not None and path.strays(least):
-        steps = 1
     for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
         for term, edges in _bends(terms, turned, dae, p, steps):
