@@ -323,7 +323,10 @@ def _result(code: int, operands: Sequence[_Span]) -> _Span:
 
 def _middle(a: _Span) -> tuple[SX, SX]:
     """Return the middle and the radius: without a branch, so that NaN is passed on."""
-    return (a.low, SX(0)) if a.stays else ((a.low + a.high) / 2, (a.high - a.low) / 2)
+    if a.stays:
+        return a.low, SX(0)
+    radius = ca.if_else(a.low == a.high, 0, (a.high - a.low) / 2)  # also of infinite ends
+    return (a.low + a.high) / 2, radius
 
 
 def _sum(a: _Span, b: _Span) -> _Span:
@@ -343,9 +346,9 @@ def _product(a: _Span, b: _Span) -> _Span:
 
 
 def _around(values: SX) -> _Span:
-    """Return the span of some values, (n, 1); NaN if one is not finite."""
-    is_finite = ca.fabs(ca.sum1(values)) < SX.inf()  # fmin and fmax pass over NaN
-    low, high = (ca.if_else(is_finite, f(values), SX.nan()) for f in (ca.mmin, ca.mmax))
+    """Return the span of some values, (n, 1); NaN if one is, or if some are +-infinite."""
+    is_known = ca.fabs(ca.sum1(values)) <= SX.inf()  # fmin and fmax pass over NaN
+    low, high = (ca.if_else(is_known, f(values), SX.nan()) for f in (ca.mmin, ca.mmax))
     return _Span(low, high, False)
 
 

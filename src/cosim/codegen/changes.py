@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+from casadi import SX
 
 from cosim.arrays import Vector
 from cosim.series.curves import graded
@@ -15,7 +17,10 @@ _STRIDES = 64, 8  # cells that are looked at as one
 _SAMPLES, _OF_TABLE = 64, 4  # of a cell, without bounds; if a table's knots are known
 _ROUNDINGS = 64  # within which edges are one
 _PARTS = 8  # of the range of a term and of the time of a pulse, at whose ends a step ends
+_GREATEST = 1e300  # number whose differences are finite
 _ENDS = 1e-5  # change before and after a pulse, as a share of the range
+_LEAST_SIZE, GREATEST_SIZE = 1e-12, 1e30  # of a term that grows, where its places are
+_GROWTH = 28.0  # asinh(value / _LEAST_SIZE) of a value near 1, about which they are dense
 
 
 class Changes(NamedTuple):
@@ -24,7 +29,8 @@ class Changes(NamedTuple):
     Attributes:
         parts: Begin and end of each, in order.
         low, high: Range of the function, as far as it is known.
-        unknown: Begins of the cells in which it may be no line, although they were halved.
+        unknown: Begins of the cells in which it may be no line, although they were halved; not
+            of those narrower than rounding, and those in which it has no value.
         pinched: Those of cells as narrow as rounding in which it may leave its value and return.
     """
 
@@ -38,6 +44,11 @@ class Changes(NamedTuple):
     def is_whole(self) -> bool:
         """Whether the function is a line in all that was not halved to the end."""
         return not len(self.unknown)
+
+
+def in_decades(term: SX) -> SX:
+    """Return a function of a term, between -1 and 1, that changes with its logarithm."""
+    return ca.tanh(ca.asinh(term / _LEAST_SIZE) / _GROWTH)
 
 
 def unseen(edges: Vector) -> Changes:
@@ -109,6 +120,8 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
         if not len(bent) or len(begins) > len(edges) + _MOST_CELLS:
             break
+        valued = np.isfinite([values(begins[bent]), values((begins + widths)[bent])]).any(axis=0)
+        bent = bent[valued] if valued.any() else bent
         bent = bent[np.argsort(-off[bent], kind="stable")[:_AT_ONCE]]
         half = widths[bent] / 2
         middles = begins[bent] + half
@@ -121,13 +134,22 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
-    unknown = begins[~line]
-    deep = ~line & (widths <= least) & np.isfinite(off[~line]).all()  # what is near a pole is none
-    cells = zip(begins[deep].tolist(), (begins + widths)[deep].tolist(), strict=True)
-    pinched = [own[0] for own in apart(sorted(cells)) if _returns(values, own, high - low)]
+    valued = np.isfinite([values(begins), values(begins + widths)])
+    nowhere = np.where(widths > least, ~valued.any(axis=0), ~valued.all(axis=0))  # it has a value
+    left = ~line & ~nowhere
+    deep = left & (widths <= least) & np.isfinite(off[left]).all()  # what is near a pole is none
+    cells = sorted(zip(begins[deep].tolist(), (begins + widths)[deep].tolist(), strict=True))
+    pinched = [own[0] for own in apart(cells) if _returns(values, own, high - low)]
+    left &= ~deep
+    narrow = np.flatnonzero(left & (widths <= least))
+    around = [begins[narrow] + beside * widths[narrow] for beside in (-_ROUNDINGS, 0, _ROUNDINGS)]
+    seen = np.clip([values(at) for at in around], -_GREATEST, _GREATEST)
+    left[narrow] = ~(np.ptp(seen, axis=0) <= _STRAIGHT * (high - low))  # beside a pole, it may rest
+    unknown = begins[left]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
     parts = _changing(values, begins, begins + widths, high - low)
+    parts = parts if pinched else sorted(parts + cells)  # a jump within rounding is one
     return Changes(parts, low, high, unknown, np.array(pinched))
 
 
@@ -137,8 +159,8 @@ def _joined(values: Values, bounds: Bounds, edges: Vector) -> Vector:
     It is at most twice as far from a line between any two of its values there.
     """
     last = len(edges) - 1
-    with np.errstate(invalid="ignore"):  # of what grows beyond all numbers
-        size = np.ptp(values(edges[:: _STRIDES[0]]))  # at most the range
+    some = values(edges[:: _STRIDES[0]])
+    size = np.ptp(np.clip(some, -_GREATEST, _GREATEST))  # at most the range
     kept = np.ones(last + 1, dtype=bool)
     for stride in _STRIDES:
         first = np.arange(0, last, stride)

@@ -14,11 +14,13 @@ from casadi_models.dae.time_bounds import bounds_along, bounds_within
 from cosim.arrays import Truths, Vector
 from cosim.codegen.changes import (
     FLAT,
+    GREATEST_SIZE,
     Changes,
     Values,
     apart,
     changes_between,
     changing_parts,
+    in_decades,
     parted,
     unseen,
     with_surroundings,
@@ -34,8 +36,6 @@ _BEYOND = np.array([1e9, 1e12, 1e15])  # where the search of a term goes on that
 _INNER = 64  # samples of a part of a change
 _NARROW = 0.125  # share of a wave; what takes more of it, some stage of a step sees
 _IN_ONE = 64  # places in a change
-_LEAST_SIZE, _GREATEST_SIZE = 1e-12, 1e30  # of a term that grows, where its places are
-_GROWTH = 28.0  # asinh(value / _LEAST_SIZE) of a value near 1, about which they are dense
 _SUDDEN = 0.02  # share of the size of what moves a term, in which it may turn within a step
 _SECTIONS, _ZOOMS = 16, 18  # of the way to where a term moves; each time, into one of them
 
@@ -107,7 +107,7 @@ def growing_of(dae: Dae, term: InnerTerm, p: Vector) -> list[Change]:
 
     def is_beyond(at: Vector) -> Truths:
         seen = np.abs(np.array(value(at.reshape(1, -1), p)).reshape(at.shape))
-        return np.asarray(seen > _GREATEST_SIZE)
+        return np.asarray(seen > GREATEST_SIZE)
 
     reach = np.clip(value_at(dae, _reach(dae, term), p), *REACH)
     grows = is_beyond(reach)
@@ -115,7 +115,7 @@ def growing_of(dae: Dae, term: InnerTerm, p: Vector) -> list[Change]:
         return []
     inwards = 8 * np.spacing(FARTHEST) * np.array([1, -1])
     reach[grows] = last_flat(is_beyond, reach[grows]) + inwards[grows]
-    scale = ca.tanh(ca.asinh(term.value / _LEAST_SIZE) / _GROWTH)
+    scale = in_decades(term.value)
     bounded, rests = term._replace(value=scale), reach.mean() if grows.all() else reach[~grows]
     every = (changes_of(dae, bounded, p, np.sort(np.append(end, rests))) for end in reach[grows])
     found = list[Change]()

@@ -1,6 +1,5 @@
 """`terms_of`, `pulse_times`: terms of time or one state, and where those of time change."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -12,7 +11,15 @@ from casadi_models.dae.inner_terms import InnerTerm, inner_terms, is_table
 from casadi_models.dae.single_terms import single_terms
 from casadi_models.dae.time_bounds import bounds_along
 from cosim.arrays import Vector
-from cosim.codegen.changes import Bounds, bent_parts, parted, with_surroundings
+from cosim.codegen.changes import (
+    GREATEST_SIZE,
+    Bounds,
+    Values,
+    bent_parts,
+    in_decades,
+    parted,
+    with_surroundings,
+)
 from cosim.memo import cached_per_thread
 
 _IN_STEP, _MOST_CELLS = 4, 4_000  # parts of a step, within which a term is a line; of a run
@@ -41,7 +48,7 @@ class Terms:
     tables: tuple[InnerTerm, ...]
     alone: tuple[bool, ...]
 
-    def value(self, term: int, p: Vector) -> Callable[[Vector], Vector]:
+    def value(self, term: int, p: Vector) -> Values:
         """Return a term as a function of what moves."""
         return lambda at: np.asarray(np.array(self.values[term](at[None], p))[0, : len(at)])
 
@@ -59,12 +66,17 @@ class Terms:
 
 
 @cached_per_thread(32)
-def terms_of(dae: Dae) -> tuple[Terms, ...]:
-    """Return the terms of time, and of each state, that may rest and change on its way."""
+def terms_of(dae: Dae, *, decades: bool = False) -> tuple[Terms, ...]:
+    """Return the terms of time, and of each state, that may rest and change on its way.
+
+    Args:
+        dae: The model, with frozen relations.
+        decades: Whether to return them as `in_decades` does.
+    """
     found, length = list[Terms](), SX.sym("length")
     for moving, terms in single_terms(dae).items():
         s = ca.vertcat(dae.x, dae.t)[moving]
-        own = ca.vertsplit(terms)
+        own = ca.vertsplit(in_decades(terms) if decades else terms)
         values = tuple(ca.Function("value", [s, dae.p], [term], *_NAMES, _CSE) for term in own)
         known = (bounds_along(term, s, length) for term in own)
         bends = tuple(
@@ -75,6 +87,28 @@ def terms_of(dae: Dae) -> tuple[Terms, ...]:
         alone = tuple(_is_table_alone(term, s) for term in own)
         found.append(Terms(moving, values, bends, tables, alone))
     return tuple(found)
+
+
+def bent(
+    dae: Dae, terms: Terms, term: int, p: Vector, edges: Vector, knots: Vector
+) -> tuple[Values, list[Vector]]:
+    """Return a term as a function of what moves, and where it bends within cells: edges.
+
+    One that is beyond all numbers in some of them acts in a branch only, beside which its values
+    there are no bump: it bends where its decades do.
+
+    Args:
+        dae, terms: The model, and some of its `terms_of`.
+        term: The position of the term in these.
+        p, edges, knots: See `bent_parts`.
+    """
+    values, is_table = terms.value(term, p), terms.alone[term]
+    parts = bent_parts(values, terms.off(term, p), edges, knots, is_table=is_table)
+    if parts or (np.abs(values(edges)) < GREATEST_SIZE).all():
+        return values, parts
+    (own,) = (own for own in terms_of(dae, decades=True) if own.moving == terms.moving)
+    values = own.value(term, p)
+    return values, bent_parts(values, own.off(term, p), edges, knots)
 
 
 def _is_table_alone(term: SX, s: SX) -> bool:
@@ -121,8 +155,8 @@ def _pulses(dae: Dae, p: Vector, begin: float, end: float, longest: float) -> li
     count = int(np.clip(np.ceil(_IN_STEP * (end - begin) / longest), 1, _MOST_CELLS))
     cells = np.linspace(begin, end, count + 1)
     for i in range(len(terms.values)):
-        values = terms.value(i, p)
-        for edges in bent_parts(values, terms.off(i, p), cells, np.empty(0)):
+        values, parts = bent(dae, terms, i, p, cells, np.empty(0))
+        for edges in parts:
             if len(edges) == 1:  # no solver can see what is shorter than rounding
                 continue
             t = with_surroundings(edges, _INNER)

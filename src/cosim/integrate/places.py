@@ -16,10 +16,10 @@ from casadi_models.dae import Dae
 from casadi_models.dae.inner_terms import InnerTerm
 from casadi_models.dae.single_terms import single_terms
 from cosim.arrays import Vector
-from cosim.codegen.changes import apart, bent_parts, with_surroundings
+from cosim.codegen.changes import Values, apart, with_surroundings
 from cosim.codegen.knots import knots_of
 from cosim.codegen.landmarks import is_line, way_of
-from cosim.codegen.terms import Terms, terms_of
+from cosim.codegen.terms import Terms, bent, terms_of
 from cosim.integrate.excursions import excursions, several_terms_of
 from cosim.integrate.motion import Motion, Path
 from cosim.model.inputs import InputSeries
@@ -96,8 +96,8 @@ def places_on(dae: Dae, motion: Motion, steps: int) -> list[Place]:
     path, p, found = Path.of(motion), motion.p, list[Place]()
     for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
-        for term, edges in _bends(terms, turned, dae, p, steps):
-            values = partial(_along, terms, term, p)
+        for of_way, edges in _bends(terms, turned, dae, p, steps):
+            values = partial(_along, terms, of_way)
             times = _times(turned.time, _moved(terms, turned), edges)
             found += [Place(own, names[terms.moving], values) for own in times]
     several = several_terms_of(dae)
@@ -109,8 +109,8 @@ def places_on(dae: Dae, motion: Motion, steps: int) -> list[Place]:
     return found
 
 
-def _along(terms: Terms, term: int, p: Vector, path: Path) -> Vector:
-    return terms.value(term, p)(_moved(terms, path))
+def _along(terms: Terms, of_way: Values, path: Path) -> Vector:
+    return of_way(_moved(terms, path))
 
 
 def _moved(terms: Terms, path: Path) -> Vector:
@@ -118,11 +118,14 @@ def _moved(terms: Terms, path: Path) -> Vector:
     return np.asarray(np.vstack((path.states, path.time))[terms.moving])
 
 
-def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tuple[int, Vector]]:
+def _bends(
+    terms: Terms, path: Path, dae: Dae, p: Vector, steps: int
+) -> list[tuple[Values, Vector]]:
     """Return where on the way of what moves its terms bend within a part of an average step.
 
     Returns:
-        The position of a term, and values of what moves between which it changes, ascending.
+        A term as a function of what moves it, and values of this between which it changes,
+        ascending.
     """
     x = _moved(terms, path)
     way = float(np.abs(np.diff(x)).sum())
@@ -132,13 +135,12 @@ def _bends(terms: Terms, path: Path, dae: Dae, p: Vector, steps: int) -> list[tu
     count = int(np.clip(np.ceil(_PARTS * steps * (high - low) / way), 1, _MOST_CELLS))
     edges = np.linspace(low, high, count + 1)
     knots = _knots(dae, terms, p, edges)
-    reached, found = np.unique(np.clip(edges, x.min(), x.max())), list[tuple[int, Vector]]()
+    reached, found = np.unique(np.clip(edges, x.min(), x.max())), list[tuple[Values, Vector]]()
     for term in range(len(terms.values)):
-        values, off, is_table = terms.value(term, p), terms.off(term, p), terms.alone[term]
-        parts = bent_parts(values, off, edges, knots, is_table=is_table)
+        values, parts = bent(dae, terms, term, p, edges, knots)
         if not parts and not np.ptp(values(edges)) <= _LARGER * np.ptp(values(reached)):
-            parts = bent_parts(values, off, reached, knots, is_table=is_table)
-        found += [(term, own) for own in parts]
+            values, parts = bent(dae, terms, term, p, reached, knots)
+        found += [(values, own) for own in parts]
     return found
 
 
