@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 from casadi import SX
 
-from cosim.arrays import Vector
+from cosim.arrays import Truths, Vector
 from cosim.series.curves import graded
 
 _STRAIGHT = 0.05  # distance of a function from a line, as a share of its range
@@ -224,6 +224,13 @@ def apart(parts: list[tuple[float, float]]) -> list[Vector]:
         else:
             found.append([a, b])
     return [np.unique(edges) for edges in found]
+
+
+def are_near(places: Vector, others: Vector) -> Truths:
+    """Return which others are nearer to places than half of the way to their neighbors, (m, n)."""
+    gaps = np.abs(np.diff(places, prepend=np.nan, append=np.nan))
+    room = np.nan_to_num(np.fmin(gaps[:-1], gaps[1:]) / 2, posinf=0.0)
+    return np.asarray(np.abs(places[:, None] - others) <= room[:, None])
 
 
 def with_surroundings(edges: Vector, count: int) -> Vector:

@@ -14,7 +14,7 @@ import numpy as np
 from casadi import SX
 
 from casadi_models.dae import Dae
-from casadi_models.dae.expressions import at_irregular_place, column, in_postorder
+from casadi_models.dae.expressions import at_irregular_place, column, in_postorder, irregular_place
 from casadi_models.dae.inner_terms import (
     InnerTerm,
     SeveralInner,
@@ -27,7 +27,7 @@ from casadi_models.dae.inner_terms import (
 from casadi_models.dae.relations import modes_of
 from casadi_models.dae.time_bounds import bounds_within
 from cosim.arrays import Integers, Truths, Vector
-from cosim.codegen.changes import FLAT
+from cosim.codegen.changes import FLAT, are_near
 from cosim.codegen.knots import knots_of
 from cosim.codegen.term_changes import (
     ANYWHERE,
@@ -170,21 +170,22 @@ def _has_fixed_times(dae: Dae, change: Change) -> bool:
 def _without_repeated(dae: Dae, changes: list[Change], p: Vector) -> list[Change]:
     """Return changes in one state without places near those of others, such as of its slopes.
 
-    A place is left out that is nearer to another one than half of the way to its own neighbor.
-    Those that follow parameters remain before those that do not.
+    With any parameters, a place that is left out is nearer to another one than half of the way to
+    its own neighbor. Those that follow parameters remain before those that do not.
     """
     if not all(is_line(dae, change.term) for change in changes):
         return changes
-    every, found = np.empty(0), list[Change]()
+    others = p + (1 + np.abs(p)) * np.array(irregular_place(len(p))).ravel()
+    found = list[Change]()
     for change in sorted(changes, key=lambda c: (len(c.term.given), -len(c.places))):
+        other = np.where(np.isin(np.arange(len(p)), change.term.given), p, others)  # not followed
+        each = change, *found
         with np.errstate(divide="ignore", invalid="ignore"):  # a factor may be 0 at the start
-            at = way_of(dae, change.term, change.places, p)
-            gaps = np.abs(np.diff(at, prepend=np.nan, append=np.nan))
-            room = np.nan_to_num(np.fmin(gaps[:-1], gaps[1:]) / 2, posinf=0.0)
-            is_near = (np.abs(at[:, None] - every) <= room[:, None]).any(axis=1)
-        every = np.append(every, at[~is_near])
-        if not is_near.all():
-            found.append(replace(change, places=change.places[~is_near]))
+            ways = [[way_of(dae, c.term, c.places, q) for c in each] for q in (p, other)]
+        both = [are_near(at, np.concatenate([np.empty(0), *every])) for at, *every in ways]
+        left = ~np.all(both, axis=0).any(axis=1)
+        if left.any():
+            found.append(replace(change, places=change.places[left]))
     return found
 
 

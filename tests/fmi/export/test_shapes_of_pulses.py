@@ -70,3 +70,17 @@ def test_a_pole_is_no_short_change(pole):
     s, y = ca.SX.sym("s"), ca.SX.sym("y")
     dae = cosim.from_casadi({"x": ca.vertcat(s, y), "ode": ca.vertcat(1, pole(s - 0.5))}, {"s": 1})
     assert landmarks(dae).arguments.numel() == 0
+
+
+def test_places_that_are_equal_at_first_follow_their_own_parameters(tmp_path):
+    model = cosim.Model("pushed", stop_time=10.0)
+    s, y = (model.state(name, "1", 0.0, name) for name in ("s", "y"))
+    one, other = (model.parameter(name, "1", PLACE, name) for name in ("one", "other"))
+    model.derivative(s, 1.0)
+    bumps = (ca.exp(-(((s - place) / WIDTH) ** 2)) for place in (one, other))
+    model.derivative(y, (next(bumps) + 2 * next(bumps)) / WIDTH)
+    path = cosim.export_fmu(model.freeze(), tmp_path / "x.fmu")
+    for interface in ("CoSimulation", "ModelExchange"):
+        for values in ({}, {"other": 3.3}, {"one": 3.3}):
+            run = cosim.simulate_fmu(path, interface=interface, start_values=values)
+            assert run["y"][-1] == pytest.approx(3 * AREA, rel=1e-3)  # before: 1 or 2 of the areas
