@@ -85,7 +85,7 @@ def driven(dae: Dae, inputs: Any, times: Callable[[], Vector]) -> Driven:
             constants[name] = number(dae.full_name, name, value)
         elif isinstance(value, InputSeries):
             pieces.append(_column(name, value))
-        elif isinstance(value, str) or (callable(value) and _is_symbolic(dae, value, times())):
+        elif isinstance(value, str) or (callable(value) and _is_symbolic(dae.t, value, times())):
             laws.append((name, value))
         else:
             pieces.append(_samples(dae.full_name, name, value, times()))
@@ -177,14 +177,13 @@ def followed(
         elif isinstance(value, Real):
             pieces.append(_samples(owner, name, [number(owner, name, value)] * 2, ends))
         elif isinstance(value, str) or callable(value):
-            if isinstance(value, str):
-                law, model = _formula(f"{owner}: {name}", value, numbers, unit)
+            law, model = _law(f"{owner}: {name}", value, numbers, unit, times)
+            if model is not None:
                 switches = switch_times(model, *ends.tolist())
                 own = pulses(model, np.empty(0), *ends.tolist())
                 looks = _divided(np.union1d(ends, own)) if len(own) else ends
             else:
-                law, looks = value, ends
-                switches = _samples(owner, name, value, times).jumps
+                looks, switches = ends, _samples(owner, name, value, times).jumps
             laws[name] = _on_arrays(law)
             around = np.sort(np.append(np.union1d(looks, switches), switches))
             pieces.append(InputSeries((name,), around, laws[name](around)[:, None]))
@@ -196,16 +195,22 @@ def followed(
     )
 
 
-def _formula(
-    owner: str, text: str, constants: Mapping[str, float], unit: str
-) -> tuple[Callable[[float], float], Dae]:
-    """Return a formula as a function, and as the derivative in a model."""
+def _law(
+    title: str, value: Any, constants: Mapping[str, float], unit: str, grid: Vector
+) -> tuple[Callable[[float], float], Dae | None]:
+    """Return a formula or function as a function, and as the derivative in a model if it can be."""
     model = Model("input")
-    symbols = {name: SX(value) for name, value in constants.items()}
-    value = expression(owner, text, symbols | {"t": model.t, "time": model.t}, {"": unit})
-    model.derivative(model.state("integral", "1", 0.0, "integral of the input"), value)
-    function = ca.Function("law", [model.t], [value])
-    return lambda t: float(function(t)), model.freeze()
+    if isinstance(value, str):
+        symbols = {name: SX(number) for name, number in constants.items()}
+        names = symbols | {"t": model.t, "time": model.t}
+        found = expression(title, value, names, {"": unit})
+    elif _is_symbolic(model.t, value, grid):
+        found = _symbolic(model.t, value)
+    else:
+        return value, None
+    model.derivative(model.state("integral", "1", 0.0, "integral of the input"), found)
+    function = ca.Function("law", [model.t], [found])
+    return value if callable(value) else lambda t: float(function(t)), model.freeze()
 
 
 def _divided(times: Vector) -> Vector:
@@ -255,7 +260,7 @@ def with_laws(dae: Dae, laws: tuple[tuple[str, Law], ...], constants: tuple[str,
         UnknownName.reject(dae.full_name, "input", known, name)
         place = known.index(name)
         if not isinstance(law, str):
-            rows[place] = _symbolic(dae, law)
+            rows[place] = _symbolic(dae.t, law)
         elif (constant := constant_of(name, law, dae.inputs[place].unit)) is not None:
             rows[place] = SX(constant)
         else:
@@ -315,23 +320,22 @@ def constant_of(
     return quantity(name, value, unit, definitions=definitions)
 
 
-def _is_symbolic(dae: Dae, law: Callable[[Any], Any], grid: Vector) -> bool:
+def _is_symbolic(t: SX, law: Callable[[Any], Any], grid: Vector) -> bool:
     """Return whether a function yields a CasADi expression with the same values."""
     try:
-        found = _symbolic(dae, law)
-        numbers = ca.Function("law", [dae.t], [found])
+        numbers = ca.Function("law", [t], [_symbolic(t, law)])
         return all(
-            np.isclose(float(numbers(t)), float(law(float(t))), rtol=1e-9, atol=1e-300)
-            for t in (grid[0], grid[len(grid) // 2], grid[-1])
+            np.isclose(float(numbers(at)), float(law(float(at))), rtol=1e-9, atol=1e-300)
+            for at in (grid[0], grid[len(grid) // 2], grid[-1])
         )
     except Exception:  # a function for numbers may raise anything on a symbol
         return False
 
 
-def _symbolic(dae: Dae, law: Callable[[Any], Any]) -> SX:
+def _symbolic(t: SX, law: Callable[[Any], Any]) -> SX:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # CasADi warns about numpy's functions
-        return SX(law(dae.t))
+        return SX(law(t))
 
 
 def _samples(owner: str, name: str, value: Any, grid: Vector) -> InputSeries:

@@ -244,7 +244,14 @@ def test_jump_soon_after_a_late_start_is_followed(integrator, interface):
 
 
 @pytest.mark.parametrize("interface", KINDS)
-def test_no_run_of_an_fmu_passes_over_a_short_pulse_of_a_formula(integrator, interface):
-    law = "exp(-((t - 0.53) / 1e-5)^2) * 1e5"
+@pytest.mark.parametrize(
+    "law",
+    [
+        "exp(-((t - 0.53) / 1e-5)^2) * 1e5",
+        lambda t: np.exp(-(((t - 0.53) / 1e-5) ** 2)) * 1e5,
+    ],
+    ids=["formula", "function"],
+)
+def test_no_run_of_an_fmu_passes_over_a_short_pulse(integrator, interface, law):
     run = cosim.simulate_fmu(integrator, interface=interface, inputs={"u": law})
     assert run.final["x"] == pytest.approx(np.sqrt(np.pi), rel=1e-3)  # before: 0
