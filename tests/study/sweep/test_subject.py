@@ -127,3 +127,18 @@ def test_argument_that_is_no_array_of_numbers_is_rejected(name, wrong):
     values = None if name == "samples" else {"omega": [40.0]}
     with pytest.raises(UsageError, match=name):
         cosim.sweep("crank_shaft", values, workers=0, **{name: wrong})
+
+
+def test_a_sweep_says_what_its_runs_may_have_missed():
+    """A table of two states, which steps pass over; there was no reason."""
+    places = np.linspace(0, 10, 201)
+    heights = np.zeros((201, 201))
+    heights[102, 102] = 1e3
+    table = casadi.interpolant("table", "linear", [places, places], heights.ravel(order="F"))
+    t, x = casadi.MX.sym("t"), casadi.MX.sym("x", 2)
+    ode = casadi.vertcat(1, table(casadi.vertcat(x[0], t)))
+    dae = cosim.from_casadi({"t": t, "x": x, "ode": ode}, {"x": [0, 0]}, stop_time=10)
+    found = cosim.sweep(dae, {"x_2": [0.0, 1.0]}, workers=0)
+    told = "steps may pass over changes of a term of x_1, time; set max_step"
+    assert found.reasons == {0: told, 1: told}
+    assert [row["reason"] for row in found.rows()] == [told, told]

@@ -28,8 +28,8 @@ class Block:
     Attributes:
         first: Position of the first run in the sweep.
         states, steps, reached: Of each run: position in `STATES`, steps, valid output times.
-        reasons: By position in the sweep: why a run is not complete, or where it left the model's
-            validity conditions.
+        reasons: By position in the sweep: why a run is not complete, where it left the model's
+            validity conditions, or its note.
         numbers: Reductions by name, (runs,).
         values: Trajectories, (runs, times, outputs); None if the sweep does not store them.
         moments: Of the complete runs; None if the sweep does not compute them.
@@ -82,7 +82,7 @@ class Job:
         if RunState.INTERRUPTED in ensemble.states:
             raise KeyboardInterrupt
         states = np.array([STATES.index(state) for state in ensemble.states], dtype=np.int8)
-        reasons = dict(ensemble.invalid) | dict(ensemble.reasons)
+        reasons = {**ensemble.notes, **ensemble.invalid, **ensemble.reasons}
         numbers = dict[str, Vector]()
         for reduction in self.keep.reductions:
             numbers[reduction.name] = np.full(len(states), np.nan)

@@ -49,7 +49,7 @@ class SweepResult:
         time: Output times, s.
         codes: How each run ended, as positions in `STATES`, (runs,).
         reasons: By run: why it is not complete, where it left the model's validity conditions, or
-            where an FMU took a solver more steps than usual.
+            its note, such as on a short change that it may have missed.
         steps, reached: Steps and valid output times of each run, (runs,).
         numbers: Reductions by name, (runs,); not a number where a run is not complete.
         statistics: Over all complete runs; None if the sweep did not compute them.
