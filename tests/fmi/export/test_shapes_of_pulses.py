@@ -65,6 +65,17 @@ def test_no_importer_steps_over_a_short_change_beside_other_values(shape, interf
     assert run["y"][-1] == pytest.approx(SHAPES[shape][1], rel=1e-3)  # before: 0
 
 
+def test_a_step_beyond_all_numbers_behind_an_event_is_shortened(tmp_path):
+    """The sign of the share is that of before the event; the run ended with an error."""
+    model = cosim.Model("pushed", stop_time=10.0)
+    s, y = (model.state(name, "1", 0.0, name) for name in ("s", "y"))
+    model.derivative(s, 1.0)
+    model.derivative(y, ca.exp(-ca.fabs(share(s))) / WIDTH)
+    path = cosim.export_fmu(model.freeze(), tmp_path / "x.fmu")
+    run = cosim.simulate_fmu(path, interface="ModelExchange", output_interval=0.5)
+    assert run["y"][-1] == pytest.approx(2.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("pole", [lambda s: 1 / s, lambda s: 1 / s**2, lambda s: ca.log(s) / s])
 def test_a_pole_is_no_short_change(pole):
     s, y = ca.SX.sym("s"), ca.SX.sym("y")

@@ -8,6 +8,7 @@ import ctypes
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from fmpy.fmi2 import fmi2Discard
 from fmpy.sundials import CVodeSolver
 from fmpy.sundials.cvode import CVodeSVtolerances
 from fmpy.sundials.libraries import sundials_core, sundials_cvode
@@ -15,7 +16,10 @@ from fmpy.sundials.sundials_context import SUNContext_PushErrHandler
 
 USUAL_STEPS = 500  # of fmpy and of CVODE, from one output time to the next
 MOST_STEPS = 20_000  # a second of a small FMU
-_STOP = -1  # a callback's result that CVODE takes as an error
+_STOP, _SHORTER = (
+    -1,
+    1,
+)  # results of a callback for an error, and for one that a shorter step avoids
 
 _step_count = sundials_cvode.CVodeGetNumSteps
 _step_count.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_long)]
@@ -51,9 +55,11 @@ class Cvode(CVodeSolver):  # type: ignore[misc]
         SUNContext_PushErrHandler(self.sunctx, self.ehfun_, None)
 
     def f(self, *arguments: Any) -> int:
-        """Evaluate the derivatives."""
+        """Evaluate the derivatives; where the FMU discards that, a shorter step is taken."""
         self.rhs_calls += 1
-        return self._guarded(super().f, arguments)
+        self._error = None
+        result = self._guarded(super().f, arguments)
+        return _SHORTER if getattr(self._error, "status", None) == fmi2Discard else result
 
     def g(self, *arguments: Any) -> int:
         """Evaluate the event indicators."""
