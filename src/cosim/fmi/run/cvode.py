@@ -16,10 +16,8 @@ from fmpy.sundials.sundials_context import SUNContext_PushErrHandler
 
 USUAL_STEPS = 500  # of fmpy and of CVODE, from one output time to the next
 MOST_STEPS = 20_000  # a second of a small FMU
-_STOP, _SHORTER = (
-    -1,
-    1,
-)  # results of a callback for an error, and for one that a shorter step avoids
+_STOP = -1  # a callback's result that CVODE takes as an error
+_SHORTER = 1  # and one for which it takes a shorter step
 
 _step_count = sundials_cvode.CVodeGetNumSteps
 _step_count.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_long)]
