@@ -134,23 +134,30 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
         least, halved = (np.append(a[keep], np.tile(a[bent], 2)) for a in (least, halved))
         halved[len(keep) :] = True
     line = off <= _STRAIGHT * (high - low)
-    valued = np.isfinite([values(begins), values(begins + widths)])
-    nowhere = np.where(widths > least, ~valued.any(axis=0), ~valued.all(axis=0))  # it has a value
-    left = ~line & ~nowhere
-    deep = left & (widths <= least) & np.isfinite(off[left]).all()  # what is near a pole is none
-    cells = sorted(zip(begins[deep].tolist(), (begins + widths)[deep].tolist(), strict=True))
+    left = np.flatnonzero(~line)
+    is_narrow = (widths <= least)[left]
+    valued = np.isfinite([_seen(values, own) for own in (begins[left], (begins + widths)[left])])
+    has_value = np.where(is_narrow, valued.all(axis=0), valued.any(axis=0))
+    left, is_narrow = left[has_value], is_narrow[has_value]
+    deep = is_narrow & np.isfinite(off[left]).all()  # what is near a pole is none
+    own = begins[left[deep]], (begins + widths)[left[deep]]
+    cells = sorted(zip(*(side.tolist() for side in own), strict=True))
     pinched = [own[0] for own in apart(cells) if _returns(values, own, high - low)]
-    left &= ~deep
-    narrow = np.flatnonzero(left & (widths <= least))
+    narrow = left[is_narrow & ~deep]
     around = [begins[narrow] + beside * widths[narrow] for beside in (-_ROUNDINGS, 0, _ROUNDINGS)]
-    seen = np.clip([values(at) for at in around], -_GREATEST, _GREATEST)
-    left[narrow] = ~(np.ptp(seen, axis=0) <= _STRAIGHT * (high - low))  # beside a pole, it may rest
-    unknown = begins[left]
+    seen = np.clip([_seen(values, at) for at in around], -_GREATEST, _GREATEST)
+    rests = np.ptp(seen, axis=0) <= _STRAIGHT * (high - low)  # beside a pole, it may
+    unknown = begins[np.concatenate((left[~is_narrow], narrow[~rests]))]
     order = np.argsort(begins[halved & line])
     begins, widths = begins[halved & line][order], widths[halved & line][order]
     parts = _changing(values, begins, begins + widths, high - low)
     parts = parts if pinched else sorted(parts + cells)  # a jump within rounding is one
     return Changes(parts, low, high, unknown, np.array(pinched))
+
+
+def _seen(values: Values, at: Vector) -> Vector:
+    """Return a function at some places; of none, CasADi has a value."""
+    return values(at)[: len(at)]
 
 
 def _joined(values: Values, bounds: Bounds, edges: Vector) -> Vector:

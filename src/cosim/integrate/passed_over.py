@@ -102,14 +102,15 @@ class _Search:
 
     def _new_places(self) -> list[Place]:
         """Return where terms bend outside the known places; those of no width are noted."""
-        found = self._bends_within(step_count(self.plain))
-        if not found and Path.of(self.motion).strays(self._least_effects()):
-            found = self._bends_within(1)  # some step is far longer than the average one
+        path = Path.of(self.motion)
+        found = self._bends_within(path, step_count(self.plain))
+        if not found and path.strays(self._least_effects()):
+            found = self._bends_within(path, 1)  # some step is far longer than the average one
         self.narrow = [place for place in found if place.is_narrow] or self.narrow
         return [place for place in found if not place.is_narrow]
 
-    def _bends_within(self, steps: int) -> list[Place]:
-        return _apart(places_on(self.dae, self.motion, steps), self.places)
+    def _bends_within(self, path: Path, steps: int) -> list[Place]:
+        return _apart(places_on(self.dae, path, self.motion.p, steps), self.places)
 
     def _divide_steps(self) -> bool:
         """Let steps end within the places that were passed over; return whether any does anew."""
@@ -162,7 +163,7 @@ def unquestioned(motion: Motion, dae: Dae) -> Motion | None:
     if not has_terms(dae):
         return motion
     steps = step_count(motion)
-    if not motion.is_as_dense_as(2 * steps) or places_on(dae, motion, steps):
+    if not motion.is_as_dense_as(2 * steps) or places_on(dae, Path.of(motion), motion.p, steps):
         return None
     return replace(motion, note=_note_on_unbounded(dae, "max_step"))
 
@@ -232,7 +233,7 @@ def changes_of(
     places = list[Place]()
     for _ in range(_LOOKS):
         motion = again(rows) if len(rows) else motion
-        places = places_on(watched, motion, steps)
+        places = places_on(watched, Path.of(motion), motion.p, steps)
         if len(places) > _MOST_PLACES:  # to look at each would take minutes and gigabytes
             return _inside(grid, switches)
         if not places:
@@ -268,7 +269,8 @@ def with_note_on_steps(motion: Motion) -> Motion:
     if len(motion.time) < 2 or motion.reason:
         return motion
     dae, remedy = motion.dae, "a smaller step_size"
-    found = places_on(dae, motion, step_count(motion)) if has_terms(dae) else []
+    steps = step_count(motion)
+    found = places_on(dae, Path.of(motion), motion.p, steps) if has_terms(dae) else []
     note = f"{_passing(found[0])}; set {remedy}" if found else _note_on_unbounded(dae, remedy)
     return replace(motion, note=note)
 

@@ -90,10 +90,13 @@ def watched_terms(dae: Dae) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(dict.fromkeys([*single, *several.names])), several.unbounded
 
 
-def places_on(dae: Dae, motion: Motion, steps: int) -> list[Place]:
-    """Return where terms bend within a part of an average step of a motion of so many steps."""
-    names = _moving(dae)
-    path, p, found = Path.of(motion), motion.p, list[Place]()
+def places_on(dae: Dae, path: Path, p: Vector, steps: int) -> list[Place]:
+    """Return where terms bend within a part of an average step of a path of so many steps.
+
+    Args:
+        dae, path, p, steps: The equations, the path, parameters, and the number of its steps.
+    """
+    names, found = _moving(dae), list[Place]()
     for terms in terms_of(dae):
         turned = path.with_turns(terms.moving)
         for of_way, edges in _bends(terms, turned, dae, p, steps):
