@@ -69,13 +69,6 @@ static inline bool is_held(const Laws *laws, const Switching *s, const Seen *see
            !is_moved(laws, s, seen, i) && !is_bent(laws, seen, i);
 }
 
-/* Whether an argument that was 0 at its event goes within its mode by its rate: where an importer
- * of model exchange finds it outside, that is its solver's error. */
-static inline bool is_returning(const Laws *laws, const Switching *s, int i, double rate) {
-    const bool was_zero = s->state[i] == LEAVES || s->state[i] == HELD;
-    return laws->blind && was_zero && !laws->relations[i].moved && rate > 0;
-}
-
 /* How far every relation is within its mode, and the rate of that. Rounding is inside. */
 static inline void measure(const Laws *laws, const Switching *s, const double modes[],
                            const Seen *seen, double inside[], double rates[]) {
@@ -93,8 +86,7 @@ static inline void measure(const Laws *laws, const Switching *s, const double mo
         } else {
             sign = mode != 0 ? mode : value > 0 ? -1 : 1; /* a mode of 0 is that of 0 alone */
             inside[i] = slack + sign * value;
-            if (is_held(laws, s, seen, i) || is_returning(laws, s, i, sign * seen->rates[i]))
-                inside[i] = fmax(inside[i], slack);
+            if (is_held(laws, s, seen, i)) inside[i] = fmax(inside[i], slack);
         }
         rates[i] = sign == 0 ? 0 : sign * seen->rates[i];
     }
