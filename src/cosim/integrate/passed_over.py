@@ -104,7 +104,8 @@ class _Search:
         """Return where terms bend outside the known places; those of no width are noted."""
         path = Path.of(self.motion)
         found = self._bends_within(path, step_count(self.plain))
-        if not found and path.strays(self._least_effects()):
+        known = found or self.passed
+        if not known and path.strays(self._least_effects()):
             found = self._bends_within(path, 1)  # some step is far longer than the average one
         self.narrow = [place for place in found if place.is_narrow] or self.narrow
         return [place for place in found if not place.is_narrow]
