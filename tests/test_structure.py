@@ -11,7 +11,7 @@ from helpers.import_graph import FOLDERS, MODULES, ROOT, needs
 LONGEST = 500
 # Lines of the product in all its languages together, as none of them may be exchanged for another.
 # The bound falls with work that adds no capability.
-MOST_LINES = 81_502
+MOST_LINES = 81_506
 LANGUAGES = {".py", ".c", ".h", ".js", ".toml", ".css", ".html"}
 # Per 1000 lines of Python. Dense lines are no short code; ruff bounds branches and statements.
 MOST_NESTED, MOST_TUPLES = 2.0, 15.0  # measured 1.88 and 14.7

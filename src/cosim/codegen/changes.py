@@ -115,19 +115,23 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     begins, widths = edges[:-1], np.diff(edges)
     least = np.maximum(widths * 2.0**-_DEEPEST, np.spacing(np.abs(edges[1:])))
     halved = np.zeros(len(widths), dtype=bool)
+    valued = np.isfinite([ends[:-1], ends[1:]])  # at both ends of each cell
     off = _off(bounds, begins, widths)
     for _ in range(_MOST_ROUNDS):
         bent = np.flatnonzero(~(off <= _STRAIGHT * (high - low)) & (widths > least))
         if not len(bent) or len(begins) > len(edges) + _MOST_CELLS:
             break
-        valued = np.isfinite([values(begins[bent]), values((begins + widths)[bent])]).any(axis=0)
-        bent = bent[valued] if valued.any() else bent
+        known = valued[:, bent].any(axis=0)
+        bent = bent[known] if known.any() else bent
         bent = bent[np.argsort(-off[bent], kind="stable")[:_AT_ONCE]]
         half = widths[bent] / 2
         middles = begins[bent] + half
         inner = values(middles)
         low, high = float(np.nanmin([low, *inner])), float(np.nanmax([high, *inner]))
         keep = np.delete(np.arange(len(begins)), bent)
+        first, last = valued[:, bent]
+        middle = np.isfinite(inner)
+        valued = np.hstack((valued[:, keep], [first, middle], [middle, last]))
         new = np.concatenate((begins[bent], middles))
         off = np.concatenate((off[keep], _off(bounds, new, np.tile(half, 2))))
         begins, widths = np.append(begins[keep], new), np.append(widths[keep], np.tile(half, 2))
@@ -136,8 +140,8 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     line = off <= _STRAIGHT * (high - low)
     left = np.flatnonzero(~line)
     is_narrow = (widths <= least)[left]
-    valued = np.isfinite([_seen(values, own) for own in (begins[left], (begins + widths)[left])])
-    has_value = np.where(is_narrow, valued.all(axis=0), valued.any(axis=0))
+    known = valued[:, left]
+    has_value = np.where(is_narrow, known.all(axis=0), known.any(axis=0))
     left, is_narrow = left[has_value], is_narrow[has_value]
     deep = is_narrow & np.isfinite(off[left]).all()  # what is near a pole is none
     own = begins[left[deep]], (begins + widths)[left[deep]]
@@ -145,7 +149,7 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     pinched = [own[0] for own in apart(cells) if _returns(values, own, high - low)]
     narrow = left[is_narrow & ~deep]
     around = [begins[narrow] + beside * widths[narrow] for beside in (-_ROUNDINGS, 0, _ROUNDINGS)]
-    seen = np.clip([_seen(values, at) for at in around], -_GREATEST, _GREATEST)
+    seen = np.clip([values(at) for at in around], -_GREATEST, _GREATEST)
     rests = np.ptp(seen, axis=0) <= _STRAIGHT * (high - low)  # beside a pole, it may
     unknown = begins[np.concatenate((left[~is_narrow], narrow[~rests]))]
     order = np.argsort(begins[halved & line])
@@ -153,11 +157,6 @@ def changing_parts(values: Values, bounds: Bounds, edges: Vector) -> Changes:
     parts = _changing(values, begins, begins + widths, high - low)
     parts = parts if pinched else sorted(parts + cells)  # a jump within rounding is one
     return Changes(parts, low, high, unknown, np.array(pinched))
-
-
-def _seen(values: Values, at: Vector) -> Vector:
-    """Return a function at some places; of none, CasADi has a value."""
-    return values(at)[: len(at)]
 
 
 def _joined(values: Values, bounds: Bounds, edges: Vector) -> Vector:

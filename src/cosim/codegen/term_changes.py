@@ -201,7 +201,7 @@ def _bent(
     value = ca.Function("value", [symbol, dae.p], [term.value], {"cse": True})
 
     def values(at: Vector) -> Vector:
-        return np.array(value(at[None], p)).ravel()
+        return np.array(value(at[None], p))[0, : len(at)]
 
     bounds = bounds_along(term.value, symbol, length)
     if bounds is not None:

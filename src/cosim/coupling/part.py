@@ -16,7 +16,7 @@ from casadi_models.dae.variables import is_name
 from casadi_models.units import Unit
 from cosim.errors import UnknownName, UsageError
 from cosim.fmi.archive import unpacked
-from cosim.fmi.export.events import fmu_events
+from cosim.fmi.export.events import has_fmu_events
 from cosim.fmi.run.arrays import with_elements
 from cosim.fmi.run.description import by_name, read_description, unit_of
 from cosim.fmi.run.request import holds_value, is_settable
@@ -124,7 +124,7 @@ class Part:
         tables it is 2.0, whose model exchange has rates on both sides of a corner.
         """
         dae = self.subject
-        if not isinstance(dae, Dae) or fmu_events(dae) is None:
+        if not isinstance(dae, Dae) or not has_fmu_events(dae):
             return 2
         return 2 if ca.OP_CALL in operations(dae.driving_outputs) and not dae.algebraics else 3
 

@@ -54,10 +54,15 @@ def fmu_events(dae: Dae) -> Hybrid | None:
     return system
 
 
+def has_fmu_events(dae: Dae) -> bool:
+    """Return whether an FMU of a model has relations, events or pulses."""
+    return _frozen(dae)[0] is not None
+
+
 def fmu_warnings(dae: Dae) -> Mapping[str, SX]:
     """Return what to warn of where an expression of parameters is not positive."""
-    system, known = _frozen(dae)
-    found = dict(known.gentle)
+    system, places = _frozen(dae)
+    found = dict(places.gentle)
     if system is None:
         return found
     known = landmarks(system.dae)
